@@ -431,7 +431,9 @@ def _raise_again() -> None:
 
 
 def _do(which: Callable[[_Will], bool], seconds: float) -> None:
-    """Run selected actions of last resort (last wills) of an interrupted program, each in its own thread."""
+    """Run the selected cleanup actions of an interrupted program in parallel threads, and wait for all
+    threads for at most `seconds` [s].
+    """
 
     def run(act: Callable[[], object]) -> threading.Thread:
         def quietly() -> None:

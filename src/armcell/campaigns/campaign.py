@@ -47,7 +47,7 @@ def begin(spec: CampaignSpec, runs: Path) -> Store:
 
 
 def resume(folder: str | Path) -> Store:
-    """Open an interrupted campaign to continue it.
+    """Resume an interrupted campaign after checking that its cell has not changed since the campaign began.
 
     Raises:
         InputError: the folder contains no campaign, or the cell has changed since the campaign began.

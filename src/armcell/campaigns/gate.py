@@ -34,7 +34,8 @@ KEY_BYTES = 32
 
 
 def gate_file(cell: Cell) -> Path:
-    """Return the default path of the signed gate record that approves a cell.
+    """Return the default path of a cell's gate record: the signed file that permits the cell's task to run on
+    real arms.
 
     The record is next to the cell file; for a built-in cell it is in the working folder.
     """
@@ -145,7 +146,8 @@ def check_draws(cell: Cell) -> None:
 
 
 def varied_paths(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the paths of the parameters and randomized values that differ between trials of a campaign.
+    """Return the paths of the parameters and randomized values that differ between trials of a campaign,
+    which the gate requires.
 
     "drop" means objects that physics drops into a bin, different for each seed. Sensor noise does not
     count, because it leaves the task unchanged.
@@ -218,8 +220,8 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
 def changed_parts(
     then: Mapping[str, str], now: Mapping[str, str], old_versions: Mapping[str, str] | None = None
 ) -> list[str]:
-    """List the parts whose content hashes differ between two states of a cell.
-    Messages of the gate and of campaigns name these parts.
+    """List the parts of a cell, including library versions, whose content hashes have changed since its
+    campaign began or the gate approved it.
 
     Args:
         then: content hashes of the first state.
@@ -241,8 +243,8 @@ def changed_parts(
 
 # --- the key ---
 def key_file() -> Path:
-    """Return the path of the user's key, with which gate records are signed.
-    An environment variable overrides the default path.
+    """Return the path of the user's signing key for gate records, the files that permit runs on real arms. An
+    environment variable can override the path.
     """
     named = os.environ.get(KEY_VARIABLE)
     if named:
@@ -284,7 +286,9 @@ def _asked(spec: CampaignSpec) -> str:
 
 
 def _fewest(least: float, above: int = 0) -> int:
-    """Return how many trials without a failure the gate needs to prove a success rate of at least `least`."""
+    """Return the smallest number of trials, all successful, for which the exact 95 % confidence interval
+    shows a success rate of at least `least`.
+    """
     return next(n for n in range(above + 1, 10**6) if Proportion(n, n).clopper_pearson[0] >= least)
 
 

@@ -208,8 +208,8 @@ def _causes(data: dict[str, Any]) -> str:
 
 
 def _moments(data: dict[str, Any], folder: Path) -> str:
-    """Return the HTML figures of a campaign's report that show each failed trial at its first contact or,
-    without a contact, at its end.
+    """Return the pictures section of a campaign's HTML report. It shows each failed trial at its first
+    contact or, without a contact, at its end.
     """
     figures = []
     for failure in data["failures"]:

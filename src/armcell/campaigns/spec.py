@@ -122,7 +122,8 @@ def distributions(spec: CampaignSpec) -> dict[str, Distribution]:
 
 
 def checked_cell(spec: CampaignSpec) -> Cell:
-    """Load the cell of a campaign specification and test it with the extreme values of all parameters.
+    """Check a campaign specification: load its cell, test the cell with the extreme values of all parameters,
+    and return the cell.
 
     Raises:
         UnknownNameError: the cell has no such parameter.

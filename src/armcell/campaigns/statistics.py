@@ -42,8 +42,8 @@ class Proportion:
 
     @property
     def clopper_pearson(self) -> tuple[float, float]:
-        """Return the exact (Clopper-Pearson) confidence interval of a success rate. It contains the true rate
-        with a probability of at least 95 %.
+        """Return the exact (Clopper-Pearson) 95 % confidence interval of a campaign's success rate. It
+        contains the true rate with a probability of at least 95 %.
 
         Clopper and Pearson (1934), Biometrika 26.
         """
@@ -86,7 +86,9 @@ def success(rows: Sequence[Row]) -> Proportion:
 
 @dataclass(frozen=True)
 class Cause:
-    """Group of failures in a campaign with the same error code, stage and pair of bodies."""
+    """Group of failed trials in a campaign's statistics, with the same error code, stage and pair of
+    bodies.
+    """
 
     code: str
     stage: str
@@ -96,7 +98,7 @@ class Cause:
 
 
 def causes(rows: Sequence[Row]) -> list[Cause]:
-    """Group the failures of a campaign by error code, stage and bodies.
+    """Group the failed trials of a campaign by error code, stage and pair of bodies, for the statistics.
     Return the groups, the most frequent one first.
     """
     found: dict[tuple[str, str, str], list[Row]] = {}

@@ -75,7 +75,7 @@ class Store:
 
     @staticmethod
     def open(folder: str | Path) -> Store:
-        """Open the folder in which an existing campaign is stored.
+        """Open the store of an existing campaign, given the campaign's folder.
 
         Raises:
             InputError: the folder contains no campaign, or one of another format version.

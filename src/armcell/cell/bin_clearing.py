@@ -76,8 +76,8 @@ def _where(world: SimWorld, name: str) -> str:
 
 
 def _inside(world: SimWorld, scene: PlanningScene, container: str, things: list[str]) -> list[str]:
-    """Return the objects whose center is above the floor of a container.
-    Used to count the objects in the bin and in the tray.
+    """Return the objects whose center is above the floor of a container, to count the objects in the bin and
+    in the tray during bin clearing.
     """
     frame, size_x, size_y = support_surface(scene.object(container))
     found = []

@@ -62,7 +62,8 @@ def noise_of(spec: str | NoiseSpec) -> DepthNoise:
 
 
 def decal_of(name: str, spec: MarkerSpec, known: Iterable[str]) -> Decal:
-    """Return a textured square that shows a marker of the cell. Simulated cameras can see it.
+    """Return the textured square (decal) that makes a marker of the cell file visible to the cell's simulated
+    cameras.
 
     Raises:
         UnknownNameError: the frame or the marker family does not exist.

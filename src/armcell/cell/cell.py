@@ -101,22 +101,22 @@ class Cell:
         return settings
 
     def _sensors(self) -> Sensors3d | None:
-        """Load the 3D sensors from the file that the cell names (sensors_3d.yaml),
-        or else from the robot's MoveIt package.
+        """Load a cell's 3D sensors from the sensors_3d.yaml that the cell file names, or else from the
+        robot's MoveIt package.
         """
         file = self._moveit_file(self.spec.ros.sensors, "sensors_3d.yaml")
         return None if file is None else load_sensors_3d(file)
 
     def _planner_configs(self) -> Mapping[str, Any]:
-        """Load the planner settings from the file that the cell names (ompl_planning.yaml),
-        or else from the robot's MoveIt package.
+        """Load a cell's planner settings from the ompl_planning.yaml that the cell file names, or else from
+        the robot's MoveIt package.
         """
         file = self._moveit_file(self.spec.ros.planners, "ompl_planning.yaml")
         return {} if file is None else load_ompl_planning(file, self.model)
 
     def _moveit_file(self, named: str | None, name: str) -> Path | None:
-        """Return the path of a MoveIt configuration file, or None if there is no such file.
-        A file named in the cell file takes precedence over the one in the robot's MoveIt package.
+        """Return the path of a cell's MoveIt configuration file, or None if there is no such file. A file
+        named in the cell file takes precedence over the one in the robot's MoveIt package.
         """
         if named is not None:
             return self.file.parent / named

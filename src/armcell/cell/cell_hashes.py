@@ -101,7 +101,9 @@ def _fields(value: Any) -> dict[str, Any]:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Update the hash of a cell's identity with the type and content of a value, without ambiguity."""
+    """Update a cell's content hash with the type and content of a value, such that different values add
+    different bytes.
+    """
     if isinstance(value, np.ndarray):
         digest.update(f"array {value.dtype} {value.shape} ".encode())
         digest.update(np.ascontiguousarray(value).tobytes())

@@ -26,7 +26,8 @@ ENDINGS = {
 
 @dataclass(frozen=True)
 class Controller:
-    """External trajectory controller (from ros2_control or a vendor) that moves some of the robot's joints.
+    """External trajectory controller (from ros2_control or a vendor) that the cell file assigns to some of
+    the robot's joints.
 
     Attributes:
         name: the name in the cell file.
@@ -47,7 +48,8 @@ class Controller:
 def controllers_of(
     specs: Mapping[str, ControllerSpec], model: RobotModel, file: Path
 ) -> tuple[Controller, ...]:
-    """Return the external trajectory controllers that a cell file defines.
+    """Return the external trajectory controllers that the block `controllers` of a cell file defines, after
+    checking their joints.
 
     Raises:
         UnknownNameError: a joint does not exist.
@@ -80,7 +82,8 @@ def controllers_of(
 
 
 def _joints_of(name: str, spec: ControllerSpec, model: RobotModel, where: dict[str, Any]) -> tuple[str, ...]:
-    """Return the joints that each external controller of a cell moves, by controller name.
+    """Return the joints of an external controller that the cell file defines without joints, inferred from
+    the controller's name.
 
     A group or gripper with the same name has priority; otherwise the joints of the only arm or gripper.
 

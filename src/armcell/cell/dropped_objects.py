@@ -96,8 +96,8 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
 
 
 def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
-    """Return four walls that fence a bin during the drops, and a distant shelf on which objects wait for
-    their drop.
+    """Return four walls that fence a bin while objects are dropped into it, and a distant shelf for objects
+    that are not dropped yet.
 
     Args:
         frame: center of the bin's floor, T_world_frame.
@@ -116,8 +116,8 @@ def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
 
 
 def _above(item: CollisionObject, frame: SE3, half: np.ndarray, top: float, rng: np.random.Generator) -> SE3:
-    """Return a random pose from which to drop the next object.
-    It is above the objects that are already in the bin.
+    """Return a random pose from which to drop the next object into a bin, above the objects that were dropped
+    before.
 
     Args:
         frame: center of the bin's floor, T_world_frame.

@@ -216,8 +216,8 @@ class Bench:
     def _predictions(
         self, scene: PlanningScene, item: CollisionObject, name: str, grasps: Sequence[Grasp]
     ) -> list[Prediction]:
-        """Test the grasp predictions for one object in trials with random grasps.
-        The name of the object determines the seed.
+        """Benchmark the grasp predictions for one object in trials with random grasps. The benchmark's seed
+        and the object's name seed the random numbers.
         """
         o, settings = self.options, replace(self.settings, prove_grasps=0)
         seed = o.seed, zlib.crc32(name.encode())

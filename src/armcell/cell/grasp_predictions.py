@@ -52,8 +52,8 @@ class HoldResult:
 
     @property
     def firmly(self) -> bool:
-        """Return whether the gripper held the object to the end and the
-        object slipped and turned less than the limits.
+        """Return whether the gripper held the object to the end, and the object's slip and rotation in the
+        hand stayed within the limits.
         """
         if not self.to_the_end or self.slip_m is None or self.turn_rad is None:
             return False
@@ -103,8 +103,8 @@ def simulate_pick(
     scene: PlanningScene, truth: CollisionObject, gripper: Gripper, grasp: Grasp, settings: TaskSettings,
     duration: float,
 ) -> HoldResult | None:  # fmt: skip
-    """Pick, lift and hold an object whose true properties the grasp
-    prediction does not know, to test the prediction.
+    """Test a grasp prediction in simulation: pick, lift and hold an object whose true properties the
+    prediction does not know.
 
     Like a real robot that relies on a camera, the simulated robot knows only the planning scene.
 
@@ -152,8 +152,8 @@ class _Hand:
         self._closed: SE3 | None = None  # T_tcp_object
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        """Record the true pose of an object in the hand.
-        Its slip relative to this pose tests a grasp prediction.
+        """Record the pose of an object in the gripper right after grasping. The test of a grasp prediction
+        measures the object's slip from this pose.
         """
         self._closed = self._now()
         return DONE

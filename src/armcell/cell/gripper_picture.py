@@ -50,7 +50,9 @@ def _positions(alone: RobotModel, gripper: Gripper, width: float) -> Array:
 
 
 def _view(alone: RobotModel, hand: Hand, width: float, points: Array, title: str) -> Image.Image:
-    """Return the picture of a hand at a width [m]; all `points` (n, 3) [m, tcp frame] are in view."""
+    """Render a picture of a gripper that is open by `width` [m]. All `points` (n, 3) [m, tcp frame] are in
+    view.
+    """
     gripper = hand.gripper
     q = _positions(alone, gripper, width)
     T_world_tcp = kinematic_tree(alone).link_pose(q, gripper.tcp_link)
@@ -93,7 +95,9 @@ def _view(alone: RobotModel, hand: Hand, width: float, points: Array, title: str
 
 
 def _points(alone: RobotModel, q: Array, tcp_link: str) -> Array:
-    """Return corners (n, 3) [m, tcp frame] of the boxes around the shapes of a hand."""
+    """Return the corners (n, 3) [m, tcp frame] of the boxes around a gripper's shapes, so that the gripper's
+    picture shows all of them.
+    """
     tree = kinematic_tree(alone)
     into = tree.link_pose(q, tcp_link).inverse()
     found = [np.zeros((1, 3))]

@@ -44,8 +44,8 @@ class GripperProof:
 
 
 def with_proven_grippers(model: RobotModel) -> tuple[RobotModel, tuple[GripperProof, ...]]:
-    """Return the robot without the grippers that fail to hold a cube in the physics simulation,
-    and the proof for each gripper.
+    """Test whether each gripper of a robot holds a cube in simulation. Return the robot with only the
+    successful grippers, and all test results.
     """
     proofs = tuple(prove_gripper(model, gripper) for gripper in model.grippers.values())
     held = {p.gripper.name: p.gripper for p in proofs if p.held}

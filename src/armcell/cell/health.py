@@ -40,7 +40,7 @@ class Health:
 
     @contextmanager
     def layer(self, name: str) -> Iterator[list[str]]:
-        """Start one layer of a cell in a `with` block and report its health.
+        """Report the health of one layer of a cell, which the `with` block starts.
 
         Texts that the block appends to the yielded list become part of the report.
 
@@ -71,8 +71,8 @@ class Health:
 
 
 def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tuple[Cell, Health]:
-    """Start the layers of a cell that need no connection (description and controllers) and report their
-    health.
+    """Report the health of a cell's first layers (description and controllers), which need no connection.
+    Return the cell and the health report.
 
     Raises:
         InputError: see `check_description` and `check_controllers`.

@@ -190,7 +190,8 @@ class Arm:
         return self._ctx.reserve(zone)
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the first item whose zone no other arm of a live cell occupies or approaches.
+        """Return the first of `items` whose zone no other arm of the live cell occupies or approaches, for
+        example the next object to pick.
 
         If other arms occupy or approach all zones, return the first item.
         """

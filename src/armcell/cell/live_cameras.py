@@ -112,7 +112,7 @@ class LiveCamera:
         return found[0]
 
     def _lacks(self, rgb: bool) -> bool:
-        """Return whether a color image is requested although the newest image of a live camera has only
+        """Return whether a color image is requested although the newest image of a `LiveCamera` has only
         depth.
         """
         return rgb and not self.frozen and self._newest is not None and self._newest.rgb is None
@@ -148,7 +148,7 @@ class LiveCamera:
 @dataclass
 @checked()
 class OctomapUpdater:
-    """Observer that updates the octomap of a live cell from a camera's depth images.
+    """Observer that updates the octomap of a live cell from the depth images of a `LiveCamera`.
 
     As an observer of the cell, it updates the octomap at its own rate whenever time passes. If the new
     octomap blocks the rest of a motion, the motion stops, as for any change of the scene
@@ -177,12 +177,13 @@ class OctomapUpdater:
         self.ctx.observers.append(self)
 
     def close(self) -> None:
-        """Stop updating the octomap from a live camera. The octomap stays in the scene."""
+        """Stop updating the octomap from a `LiveCamera`. The octomap stays in the scene."""
         if self in self.ctx.observers:
             self.ctx.observers.remove(self)
 
     def update(self) -> MapUpdate:
-        """Update the octomap from a live camera now. Return the previous update if there is no new image.
+        """Update the octomap from a `LiveCamera` now. Return the previous update if the camera has no new
+        image.
 
         Each image is used only once: later, the robot is no longer at the position that the image shows, and
         would be mapped as an obstacle.
@@ -218,9 +219,7 @@ class OctomapUpdater:
             self.ctx.emit("error", f"octomap: {message}", code=code)
 
     def _ask(self) -> None:
-        """Request an image of the current state from a live camera.
-        The image is inserted into the octomap after it has been rendered.
-        """
+        """Request a new image from a `LiveCamera` and insert the rendered image into the octomap."""
         now, scene = self.ctx.driver.now, self.ctx.scene()
         self._since = min(self._since, now)
 

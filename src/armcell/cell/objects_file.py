@@ -150,7 +150,9 @@ def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
 
 
 def objects_text(entries: Mapping[str, Any]) -> str:
-    """Return YAML text with the given entries as an `objects` block for a cell file."""
+    """Return the YAML text of an objects file, with the given entries in an `objects` block, as in a cell
+    file.
+    """
     return yaml.safe_dump({"objects": dict(entries)}, sort_keys=False, default_flow_style=None, width=110)
 
 

@@ -53,8 +53,8 @@ def scores(
 
 
 def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
-    """Return the edges, count, mean prediction and observed success
-    rate of every bin of predicted P that is not empty.
+    """Group predicted success probabilities into bins. Return the limits, count, mean prediction and observed
+    success rate of each nonempty bin.
     """
     rows = []
     bins = np.clip(np.searchsorted(EDGES, p, side="right") - 1, 0, len(EDGES) - 2)

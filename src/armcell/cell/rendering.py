@@ -30,7 +30,8 @@ class _Request:
 
 
 class CellRenderer:
-    """Renderer that draws the camera images of a real-time cell in a separate process.
+    """Renderer for the cameras of a real-time cell. It queues image requests, and a separate process draws
+    the images.
 
     The thread and the process start with the first request.
 
@@ -60,7 +61,8 @@ class CellRenderer:
         self, key: Hashable, camera: Camera, give: Give, rgb: bool = True, depth: bool = True,
         keep: bool = False,
     ) -> None:  # fmt: skip
-        """Request an image from a cell's camera without waiting. The rendering process draws the image.
+        """Request an image of a cell's camera from the cell's renderer, without waiting. A separate process
+        draws the image.
 
         Call this method from the thread that steps the driver.
 
@@ -113,7 +115,8 @@ class CellRenderer:
         return self._setup[1], MeasuredState(q, self._driver.object_poses())
 
     def _run(self) -> None:
-        """Render the camera images that a real-time cell requests. This function runs in a separate process.
+        """Render the requested camera images of a real-time cell. This function runs in the renderer's
+        thread; a separate process draws the images.
 
         The process draws the next image while `give` handles the last one.
         """

@@ -70,13 +70,13 @@ class SomeShape(_Sized, Strict):
         return {**{k: v for k, v in data.items() if k not in found}, "package_shape": found}
 
     def given(self) -> dict[str, Any]:
-        """Return the values of all shape keys that are given in an entry of a cell file."""
+        """Return the shape keys and their values in a shape specification of a cell file."""
         own = {key: value for key in SHAPE_KEYS if (value := getattr(self, key)) is not None}
         return {**own, **self.package_shape}
 
     def sized(self) -> tuple[str, list[float]] | None:
-        """Return the name and sizes [m] of the shape in an entry of a cell file.
-        Return None for a mesh, a cloud or no shape.
+        """Return the name and sizes [m] of a shape specified in a cell file. Return None for a mesh, a cloud
+        or no shape.
         """
         for name, value in self.given().items():
             if name in ("mesh", "cloud"):
@@ -334,12 +334,14 @@ class StepSpec(Strict):
 
     @property
     def goal(self) -> PlaceSpec | None:
-        """Return the goal placement of a task step in the cell file, or None if it has none."""
+        """Return the goal placement in a task step's specification in the cell file, or None if the step has
+        no goal.
+        """
         return self.place or self.transfer
 
     @property
     def camera(self) -> str | None:
-        """Return the camera that a task step in the cell file uses, or None if it uses none."""
+        """Return the camera named in a task step of the cell file, or None if the step uses no camera."""
         return self.transfer.look if self.transfer else self.look
 
 
@@ -388,8 +390,8 @@ class ControllerSpec(Strict):
 
 
 class RosSpec(Strict):
-    """Cell file schema for ROS settings: namespace, name remapping, and MoveIt's sensor and planner files.
-    The names apply to connections to Unity, ROS 1 and ROS 2.
+    """Cell file schema for ROS settings: MoveIt's sensor and planner files, and a namespace and name
+    remapping for connections to Unity, ROS 1 and ROS 2.
     """
 
     namespace: str = ""

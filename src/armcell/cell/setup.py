@@ -119,7 +119,8 @@ def propose(
 def _proven(
     model: RobotModel, grippers: Sequence[GripperSpec]
 ) -> tuple[RobotModel, tuple[GripperProof, ...]]:
-    """Return the robot with the grippers that hold a cube in physics, and the proofs.
+    """Return the robot with only the grippers that hold a cube in the setup assistant's simulation, and the
+    test results of all grippers.
 
     Raises:
         InputError: a gripper about which the user stated facts does not hold the cube.

@@ -51,7 +51,9 @@ def with_poses(model: RobotModel, seed: int = 0) -> RobotModel:
 
 
 def _hands(model: RobotModel) -> list[str]:
-    """Return the gripper groups that have joints. The poses open and close are generated for them."""
+    """Return the gripper groups that have joints. For these groups, `armcell setup` generates the poses
+    "open" and "close".
+    """
     hands = {e.group for e in model.end_effectors.values()}
     chains = any(g.tip_link for g in model.groups.values())
     return [g.name for g in model.groups.values() if g.joint_names and (g.name in hands or not chains)]
@@ -63,8 +65,8 @@ def _checker(model: RobotModel) -> ExactChecker:
 
 
 def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]]:
-    """Return the generated poses "open" and "close" of a gripper,
-    where its joints are at opposite ends of their ranges.
+    """Generate the poses "open" and "close" of a gripper for `armcell setup`, with the gripper's joints at
+    opposite ends of their ranges.
 
     Open is the end with the larger mean gap between the moving links. Empty if a joint has no limits.
     """
@@ -148,8 +150,8 @@ def _home_and_ready(model: RobotModel, joints: set[str], seed: int) -> dict[str,
 
 
 def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> Iterator[Array]:
-    """Yield candidates for the home pose.
-    In each, one or two joints are turned by a quarter turn from the zero state.
+    """Yield candidates for the home pose that `armcell setup` generates. In each, one or two joints are
+    turned by a quarter turn from the zero state.
     """
     for count in (1, 2):
         for some in combinations(columns, count):

@@ -113,7 +113,9 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _write_out(data: dict[str, Any], path: str) -> None:
-    """Expand a noise preset or default value in the cell data, so that `path` can set one component of it."""
+    """Write a noise preset or a default value into the cell data as separate components, so that the override
+    at `path` can set one component.
+    """
     match path.split("."):
         case ["cameras", name, "noise", _]:
             camera = _table(data, "cameras").get(name)

@@ -46,8 +46,8 @@ def import_world(
 def write_imported(
     objects: Iterable[CollisionObject], file: Path, robot: str | None, force: bool = False
 ) -> None:
-    """Write objects imported from Gazebo to a file.
-    With a robot, it is a cell file; otherwise it is an objects file.
+    """Write the objects of an imported Gazebo world to a file: a cell file if a robot is given, otherwise an
+    objects file.
 
     The file is written only if it can be loaded. Meshes are written to the same folder. `load_objects` reads
     an objects file.

@@ -40,7 +40,9 @@ def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) ->
 
 
 class CameraFrames:
-    """Observer that records frames of a `LiveCamera` at a fixed rate [Hz] on the cell's clock."""
+    """Observer that records frames of a camera for `armcell run --frames`, at a fixed rate [Hz] on the cell's
+    clock.
+    """
 
     def __init__(self, driver: Any, camera: Any, rate: float, recorder: Any):
         self._driver, self._camera, self._period, self._recorder = driver, camera, 1.0 / rate, recorder

@@ -105,7 +105,8 @@ def campaign(
 
 
 def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, Any]:
-    """Run the trials that a campaign still lacks, write the report, print the summary and return it.
+    """Run a campaign from the command line: run the trials that it still lacks, write the report, print the
+    summary and return it.
 
     Args:
         workers: number of processes; 0: one per core.

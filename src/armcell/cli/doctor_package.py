@@ -95,8 +95,8 @@ def _named(config: MoveItConfig) -> str:
 
 
 def _joints_of(data: Any) -> dict[str, list[str]]:
-    """Return the joints of each controller in the controller
-    manager's file of a MoveIt package (ROS 2 or ROS 1).
+    """Return, for `armcell doctor`, the joints of each controller in the controller manager's file of a
+    MoveIt package (ROS 2 or ROS 1).
 
     ROS 2 nests the joints as `name: {ros__parameters: {joints: []}}`; ROS 1 omits the key `ros__parameters`.
     """

@@ -43,7 +43,8 @@ def gate(
         "real arms print it.",
     ),
 ) -> int:
-    """Issue the signed gate record that `armcell run --mode real` requires.
+    """Approve a cell for real arms: write the signed record (gate record) that `armcell run --mode real`
+    requires.
 
     A campaign must show that the task succeeds in at least 95 % of trials in physics, at the lower end of the
     exact 95 % interval, and must have varied a value: 'randomize' or 'drop' of the cell, or parameters.

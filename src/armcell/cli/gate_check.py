@@ -16,7 +16,7 @@ WITHOUT_GATE = typer.Option(
 
 
 def check_gate(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:
-    """Check the gate record of a cell before a command runs in mode real.
+    """Check, before a command moves real arms, that the cell has a valid signed approval (gate record).
     Return {"gate": entry} for the record of the run.
 
     In other modes, return an empty dict.
@@ -50,8 +50,8 @@ def check_gate(cell: Any, mode: str, file: Path | None, without: str | None) -> 
 
 
 def require_gate_override(mode: str, what: str, without: str | None) -> dict[str, Any]:
-    """Require a reason for moving real arms without a gate record.
-    Return {"gate": entry} for the record of the run.
+    """Require the user's reason to move real arms without a signed approval (gate record). Return {"gate":
+    entry} for the record of the run.
 
     Motions that clients request, for example, have no gate record, because no campaign can test them.
     In modes other than real, return an empty dict.
@@ -87,7 +87,7 @@ def gate_summary(passed: dict[str, Any]) -> str:
 
 
 def warn_without_twin(driver: Any, cell: str) -> None:
-    """Print a warning after the gate check if real arms move without being compared with a simulated twin."""
+    """Print a warning if a command moves real arms that are not compared with a simulated twin."""
     if driver.guard is not None and not driver.guard.compares:
         from armcell.twin import UNWATCHED
 

@@ -51,8 +51,8 @@ def new(
 
 
 def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
-    """Write starter cells until the task of one succeeds without physics, and keep that cell.
-    Return whether its task is a pick.
+    """Write the first starter cell whose pick succeeds with fake arms, or else a cell that only moves the
+    arm. Return whether the written task is a pick.
 
     Args:
         path: how the cell names the robot.
@@ -70,8 +70,8 @@ def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
 
 
 def _passes(folder: Path) -> bool:
-    """Return whether a cell passes all checks and its task succeeds with fake arms,
-    which follow every command exactly.
+    """Return whether a new starter cell passes all checks and its task succeeds with fake arms, which follow
+    every command exactly.
     """
     from armcell.cell import load, run_task
     from armcell.cli.check import findings

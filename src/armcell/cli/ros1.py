@@ -27,7 +27,7 @@ OWN_MASTER = typer.Option(
 
 
 class OpenTransport(NamedTuple):
-    """Open connection between the message bus of a command and ROS or another program.
+    """Transport that an armcell command has opened between its message bus and ROS or another program.
 
     Attributes:
         ready: the message to print when the cell is ready.

@@ -52,8 +52,8 @@ class GraphClient:
 
 @contextmanager
 def graph_connection() -> Iterator[tuple[Any, GraphClient]]:
-    """Yield a new bus for the topic commands, joined to the ROS 1 graph at ROS_MASTER_URI,
-    and the client of the graph.
+    """Connect a new bus for `armcell topic` to the ROS 1 graph at ROS_MASTER_URI. Yield the bus and a client
+    of the graph.
 
     Raises:
         InputError: no master answers.

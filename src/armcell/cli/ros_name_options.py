@@ -29,7 +29,7 @@ ARGUMENTS = typer.Argument(
 
 @dataclass(frozen=True)
 class RosNameOptions:
-    """ROS namespace and remappings of ROS names that the command line contains.
+    """Command-line options for ROS names: the namespace and the remappings.
 
     Attributes:
         namespace: the namespace for all names; empty for none.
@@ -51,7 +51,7 @@ class RosNameOptions:
 
     def map_for(self, cell: Any) -> NameMap | None:
         """Return the map from a cell's ROS names to the names on the bus, or None if they are equal.
-        The command line takes priority over the cell file.
+        Command-line options override the cell file.
 
         Raises:
             InputError: a name is invalid, or two names become equal.

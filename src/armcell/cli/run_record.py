@@ -132,8 +132,8 @@ class ExternallyControlledRun:
         return [] if self.recorder is None else [self.recorder]
 
     def begin(self, live: Any) -> None:
-        """Begin the record of a run: add the observers that take pictures, and note in the record whether the
-        run passed or overrode the gate before real arms.
+        """Begin the record of a run: add the observers that take pictures, and note how the gate check of
+        real arms was passed or overridden.
 
         Also print a warning if real arms move without being compared with a simulated twin. Call this method
         before the `with` block of the live cell.

@@ -27,7 +27,9 @@ LOOK = 0.1  # [s] between two checks whether the other end publishes
 
 
 class UnityCommand(TyperCommand):
-    """Command for a ROS script with the connection option --unity, which needs no HOST:PORT."""
+    """Typer command for ROS scripts, with the connection option `--unity`. The value HOST:PORT of the option
+    can be omitted.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         full: list[str] = []

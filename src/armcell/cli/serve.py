@@ -195,8 +195,8 @@ def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str)
 
 
 def open_wire(stack: ExitStack, bus: Any, wire: str) -> Join:
-    """Reserve the connection of a registered transport for `armcell serve`.
-    The argument `wire` has the form NAME or NAME=ADDRESS.
+    """Reserve the connection that the option `--wire` of `armcell serve` requests. The argument `wire` is a
+    transport's NAME or NAME=ADDRESS.
 
     Raises:
         UnknownNameError: no such transport.

@@ -37,14 +37,16 @@ physics. On a terminal, setup asks for these words if it does not recognize a gr
 
 
 def parse_gripper_facts(texts: list[str]) -> list[GripperSpec]:
-    """Return the facts of `armcell setup --gripper`."""
+    """Parse the descriptions of grippers that the user passes to `armcell setup --gripper`."""
     from armcell.model.setup.gripper_detection import GripperSpec
 
     return [GripperSpec.parse(text) for text in texts]
 
 
 def show_grippers(proposal: SetupProposal) -> None:
-    """Print the end effectors of a proposal: numbers of their grippers, or the reason why they have none."""
+    """Print each end effector of a setup proposal with its gripper's dimensions and force, or with the reason
+    why it has no gripper.
+    """
     from armcell.model.setup.gripper_detection import reasons
 
     why = reasons(proposal.model)
@@ -94,7 +96,9 @@ def _numbers(model: RobotModel, gripper: Gripper) -> dict[str, str]:
 
 
 def has_unproven_gripper(proposal: SetupProposal) -> bool:
-    """Return whether an end effector of an arm has no gripper that holds a cube in physics."""
+    """Return whether an end effector on an arm lacks a gripper that has held a cube in the simulation of
+    `armcell setup`.
+    """
     ends = proposal.model.end_effectors.values()
     return any(end.parent_group and end.name not in proposal.model.grippers for end in ends)
 

@@ -147,8 +147,8 @@ def yaml_values(text: str) -> Any:
 def connected_bus(
     connect: str, timeout: float = 10.0, ros1: bool = False, **bridge: dict[str, str]
 ) -> Iterator[tuple[Any, Any]]:
-    """Yield a new bus for `armcell topic`, joined to a ROS-TCP endpoint or a ROS 1 graph,
-    and the client of that connection.
+    """Connect a new bus for `armcell topic` to a ROS-TCP endpoint or a ROS 1 graph. Yield the bus and the
+    client of the connection.
 
     Raises:
         InputError: no endpoint or master answers.

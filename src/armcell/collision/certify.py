@@ -45,8 +45,8 @@ class DistanceChecker(Protocol):
 
 
 class MotionBound:
-    """Upper bounds on the relative motion of two geometries.
-    Each bound applies to a unit of motion of one joint [m/rad or m/m].
+    """Upper bounds, used to certify motions, on how far two geometries move relative to each other per unit
+    of motion of one joint [m/rad or m/m].
 
     Args:
         checker: the checker with the geometries and the group's joints.
@@ -87,7 +87,7 @@ class MotionBound:
 
     def along(self, dq: Array) -> Array:
         """Return upper bounds (p,) [m] on how far the geometries of each pair move relative to each other
-        when joints change by dq (n,).
+        when joints change by dq (n,), to certify a motion.
         """
         moving = np.abs(dq) > 0  # avoids 0 * inf for levers of infinite length
         return self.per_joint[:, moving] @ np.abs(dq)[moving]

@@ -66,7 +66,8 @@ class _Reflex:
 
 @dataclass(eq=False)
 class _Piece:
-    """Piece of a concave solid inside a convex cell, made by decomposing the solid along its reflex edges.
+    """Part of a concave solid inside one convex cell of space. The decomposition cuts space into these cells
+    along the solid's reflex edges.
 
     `caps` closes the surface for volumes only: its triangles may reach beyond the solid, where they cancel.
     """
@@ -117,7 +118,9 @@ class _Work:
             return 0.0
 
     def measure_depth(self, piece: _Piece) -> None:
-        """Measure how deep the convex hull of a piece covers the corners of its triangles."""
+        """Measure how deep [m] the deepest vertex of a piece of a concave solid is inside the piece's convex
+        hull.
+        """
         from scipy.spatial import ConvexHull, QhullError
 
         points = np.unique(piece.triangles.reshape(-1, 3), axis=0)
@@ -220,8 +223,8 @@ def _half(piece: _Piece, plane: Array, work: _Work) -> _Piece:
 
 
 def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
-    """Return the corners (n, 3) that a cut leaves on a piece of a concave solid and that are inside the
-    solid.
+    """Return the corners (n, 3) of a piece's convex cell after the cell is cut by a plane. Only corners
+    inside the concave solid are returned.
     """
     cell, n = piece.cell, len(piece.cell)
     old = piece.corners[piece.corners @ plane[:3] + plane[3] < 0]

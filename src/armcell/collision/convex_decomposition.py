@@ -88,7 +88,7 @@ def _hull_volume(triangles: Array) -> float:
 
 
 def convex_hull_mesh(triangles: Array) -> Mesh:
-    """Return the convex hull of points (..., 3) with outward-facing faces."""
+    """Return a convex piece: the convex hull of points (..., 3), as a mesh with outward-facing faces."""
     from scipy.spatial import ConvexHull
 
     points = np.unique(triangles.reshape(-1, 3), axis=0)

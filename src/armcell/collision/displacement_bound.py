@@ -104,8 +104,8 @@ def _link_radii(model: RobotModel) -> Array:
 
 @lru_cache(maxsize=256)
 def _radius(shapes: Solids) -> float:
-    """Return an upper bound on the distance [m] from the origin to the points of shapes.
-    The shapes belong to an object or a link and are given in its frame.
+    """Return an upper bound on the distance [m] from the frame origin of an object or link to the points of
+    its shapes, to bound their displacement.
     """
     reach = 0.0
     for shape, T in shapes:

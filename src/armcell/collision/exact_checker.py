@@ -119,8 +119,8 @@ class ExactChecker:
 
     # --- placing ---
     def full(self, q: ArrayLike) -> Array:
-        """Return the positions (dof,) of all joints in the exact checker,
-        where the joints of the group are at q (n,).
+        """Set the group's joints to q (n,) and return the positions (dof,) of all joints in the exact
+        checker.
         """
         self._q[self.columns] = float_array(q, (len(self.columns),), "a configuration")
         return self._q
@@ -309,7 +309,7 @@ class ExactChecker:
     def certify(
         self, waypoints: ArrayLike, slack: ArrayLike | None = None, *, evidence: bool = True
     ) -> Certificate:
-        """Certify with exact distances that a piecewise linear motion (k, n) is collision-free.
+        """Certify with the exact checker that a piecewise linear motion (k, n) is collision-free.
 
         Args:
             waypoints: (k, n) joint positions.
@@ -341,8 +341,8 @@ class ExactChecker:
         return sorted(worst.values(), key=lambda c: c.distance)
 
     def touching(self, q: ArrayLike) -> set[frozenset[str]]:
-        """Return the names of every two bodies that touch at q (n,) according to the exact checker, without
-        depths and padding. This is much faster than `contacts` for meshes that overlap.
+        """Return the pairs of body names that touch at q (n,), without padding. For overlapping meshes, this
+        is much faster than `contacts`, which also computes depths.
         """
         self.set_configuration(q)
         near = (pairs[self.pair_gaps(pairs) <= 0] for pairs in (self.pairs, self.fixed_pairs))

@@ -71,7 +71,8 @@ def _between_model(model: RobotModel, groups: tuple[str, ...], mover: str | None
 
 
 def _are_tested(a: int | None, b: int | None, focus: int | None) -> bool:
-    """Return whether bodies of arms a and b are checked against each other; None: a body of no arm.
+    """Return whether a body of arm `a` is checked against a body of arm `b`. An index of None means that the
+    body belongs to no arm.
 
     Args:
         focus: index of the only arm that is checked against the others; None: every pair of arms is checked.
@@ -135,7 +136,8 @@ def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike)
 
 
 def check_arms(model: RobotModel, groups: Sequence[str], what: str = "group") -> None:
-    """Check that there are two or more groups, and that they have joints and share none.
+    """Check that the groups belong to different arms: there are at least two groups, each has joints, and no
+    two share a joint.
 
     Args:
         what: what the caller was given for each arm, for the message.
@@ -153,7 +155,7 @@ def check_arms(model: RobotModel, groups: Sequence[str], what: str = "group") ->
 
 
 def combined_group(model: RobotModel, groups: Iterable[str]) -> str:
-    """Return the planning group that has exactly the joints of the given groups.
+    """Return the name of the planning group that has exactly the joints of the given arms' groups.
 
     Raises:
         InputError: the model has no such group.
@@ -192,8 +194,8 @@ def without_arms(scene: PlanningScene, *groups: str) -> PlanningScene:
 
 
 def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
-    """Return the column indices of the joints that move the links of some arms,
-    for collision checks without them.
+    """Return the column indices of the joints that move the given links. These links belong to arms that are
+    left out of a collision check.
     """
     names = [model.parent_joint[n].name for n in links if n in model.parent_joint]
     return [i for i, n in enumerate(model.joint_names) if n in set(names)]
@@ -336,8 +338,8 @@ class InterArmChecker:
     def certify_any_time(
         self, first: JointTrajectory, second: JointTrajectory, clearance: float = 0.0
     ) -> bool:
-        """Certify that two arms stay apart whenever each of their motions starts and however fast it runs.
-        For more arms, certify each pair.
+        """Certify that two arms stay apart for all start times and speeds of their motions. For more arms,
+        certify each pair.
 
         The function tests every position of one motion against every position of the other: it tests boxes of
         joint positions of the second motion against the whole first motion, and splits boxes that are too

@@ -54,7 +54,8 @@ class Conflict:
 
 @dataclass(frozen=True, eq=False)
 class ActiveMotion:
-    """Timed motion that the motion proof certifies: a trajectory of which a part may already be executed.
+    """Timed motion to be proven collision-free. The robot has possibly already executed the first part of the
+    motion's trajectory.
 
     The methods count times from now, so they describe the remaining part.
 
@@ -165,8 +166,8 @@ def _conflict(
 
 
 def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certificate) -> Certificate:
-    """Find the first contact of a motion by bisection, and return it as a failed certificate.
-    The given certificate `proof` has failed, but may report a later contact.
+    """Search by bisection for the first contact of a motion that failed certification. The failed certificate
+    `proof` may report a later contact.
     """
     edges = len(points) - 1
     free, not_free = 0, min(int(proof.at * edges) + 1, edges)  # last waypoints of a free and a failed prefix
@@ -187,8 +188,8 @@ def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certifi
 def _timed(
     here: Array, motion: ActiveMotion, others: Sequence[ActiveMotion], late: float, error: float
 ) -> tuple[Array, Array, Array]:
-    """Return the path to be proven free: piecewise linear,
-    from the measured joint positions through all running motions.
+    """Return the path that the motion proof certifies: piecewise linear, from the measured joint positions
+    through all running motions.
 
     Args:
         here: (n,) measured positions, which become the first waypoint.
@@ -256,7 +257,8 @@ def _of_group(scene: PlanningScene, motion: ActiveMotion, group: str) -> tuple[A
 
 
 def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
-    """Return the name of the smallest planning group that contains all given joints, or None.
+    """Return the name of the arm that executes a motion: the smallest planning group that contains all given
+    joints, or None.
 
     A group counts only if it has at least `ARM_JOINTS` joints. The motion proof treats this group as the arm
     that executes the motion.

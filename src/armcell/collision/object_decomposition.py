@@ -67,6 +67,8 @@ def _cut(mesh: Mesh, merged: trimesh.Trimesh) -> tuple[Mesh, ...]:
 
 
 def _volume(piece: Mesh) -> float:
-    """Return the volume [m^3] of a closed mesh with outward normals, before its convex decomposition."""
+    """Return the volume [m^3] of a closed mesh with outward normals, for the convex decomposition of an
+    object.
+    """
     a, b, c = (piece.vertices[piece.faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a - piece.vertices[0], np.cross(b - a, c - a))) / 6

@@ -81,8 +81,8 @@ class PrimitiveSet:
         return bound[order], index[order]
 
     def solids(self, index: Index, T: coal.Transform3s) -> Iterator[tuple]:
-        """Yield the spheres or cubes of a set as coal geometries with their transforms,
-        if the set's frame has the transform T.
+        """Yield the primitives (spheres or cubes) of a set as coal geometries with their transforms. `T` is
+        the transform of the set's frame.
         """
         R, t, here = T.getRotation(), T.getTranslation(), coal.Transform3s()
         known: dict[float, coal.CollisionGeometry] = {}
@@ -107,15 +107,17 @@ def _near(
 
 
 def _holds(solid: CoalGeometry, T: coal.Transform3s, part: coal.Transform3s) -> bool:
-    """Return whether a nonconvex mesh contains the center of a sphere or cube that belongs to the set."""
+    """Return whether the nonconvex mesh of a solid contains the center of a primitive (sphere or cube) of a
+    set.
+    """
     return solid.holds(T.getRotation().T @ (part.getTranslation() - T.getTranslation()))
 
 
 def touches_primitives(solid: CoalGeometry, T: coal.Transform3s,
                        primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                  request: coal.CollisionRequest, result: coal.CollisionResult) -> bool:  # fmt: skip
-    """Return whether any sphere or cube of a set is closer to a solid
-    than the security margin of the request.
+    """Return whether any primitive (sphere or cube) of a set is closer to a solid than the security margin of
+    the request.
     """
     _, index = _near(solid, T, primitives, T_primitives, request.security_margin)
     return any(
@@ -128,7 +130,8 @@ def distance_to_primitives(solid: CoalGeometry, T: coal.Transform3s,
                            primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                      request: coal.DistanceRequest, result: coal.DistanceResult,
                      outer: bool = False) -> float:  # fmt: skip
-    """Return the signed distance [m] from a solid to the nearest sphere or cube of a point cloud or octree.
+    """Return the signed distance [m] from a solid to the nearest primitive (sphere or cube) of a point cloud
+    or octree.
 
     The distance is infinite if the set is empty. `result` holds coal's result for the nearest part.
 
@@ -157,8 +160,8 @@ def distance_to_primitives(solid: CoalGeometry, T: coal.Transform3s,
 
 
 def _halved(centers: Array) -> Index:
-    """Order the points of a point cloud or octree such that each run
-    of `CHUNK` points is close together in space.
+    """Order the primitives (spheres or cubes) of a point cloud or octree such that each run of `CHUNK`
+    primitives is close together in space.
 
     The algorithm splits the points in halves along the longest axis.
     """

@@ -58,8 +58,8 @@ CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 
 
 def resting_pairs(exact: ExactChecker, q: ArrayLike, within: ArrayLike = APART) -> dict[Pair, Contact]:
-    """Return the pairs of bodies that rest on each other at q (n,), with their contacts.
-    These bodies touch or nearly touch.
+    """Return the pairs of bodies in resting contact at q (n,), with their contacts. These bodies touch or
+    nearly touch.
 
     Each pair has the contact at its smallest distance.
 
@@ -95,7 +95,7 @@ def resting_contacts(checker: KernelChecker, q: ArrayLike) -> list[Contact]:
 
 
 def with_allowed_contacts(scene: PlanningScene, pairs: Iterable[Pair]) -> PlanningScene:
-    """Return the scene with contact allowed between the given pairs of resting bodies."""
+    """Return the scene with contact allowed between the given pairs of bodies in resting contact."""
     for pair in pairs:
         a, b = sorted(pair)
         scene = scene.with_allowed(a, (b,))
@@ -110,8 +110,8 @@ def certify_from_rest(
     *,
     evidence: bool = True,
 ) -> Certificate:
-    """Certify that a motion (k, n) is collision-free.
-    Bodies that are in resting contact at its start may touch there.
+    """Certify that a motion (k, n) out of resting contact is collision-free. Bodies in resting contact at the
+    start may touch until they separate.
 
     The motion may start in resting contact and lead out of it. The exact checker measures pairs that touch at
     the start, or that are too close for a certificate with slack, until they are separated. All other pairs
@@ -194,7 +194,8 @@ def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact
 def separation(
     exact: ExactChecker, points: Array, near: Mapping[Pair, Contact]
 ) -> tuple[float, Contact | None]:
-    """Return the position along a motion (k, n) at which all bodies that rested on each other have separated.
+    """Return the position along a motion (k, n) at which all bodies that started in resting contact have
+    separated.
 
     Args:
         exact: the exact checker.
@@ -334,7 +335,8 @@ class SeparationChecker:
         return place, None
 
     def separating_until(self, points: Array, at: float) -> float:
-        """Return the position along a motion at which the bodies in resting contact stop separating.
+        """Return the position along a motion up to which the distance between the bodies that started in
+        resting contact keeps increasing.
 
         The search starts at `at`; both positions are counted in edges. The result is the end if the pairs
         separate all the time.
@@ -367,7 +369,8 @@ class SeparationChecker:
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """Return the index of a body pair with a forbidden contact while leaving resting contact, or None.
+        """Return the index of a body pair whose contact is not allowed on a motion out of resting contact, or
+        None.
 
         Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 
@@ -389,7 +392,8 @@ class SeparationChecker:
         return None
 
     def _travel(self, k: int) -> float:
-        """Return how far [m] the two bodies of the resting pair k have moved relative to each other.
+        """Return how far [m] the two bodies of pair `k`, which start in resting contact, have moved relative
+        to each other.
 
         The motion counts from the start. The value is the smaller of the two motions seen from either body.
         """
@@ -399,8 +403,8 @@ class SeparationChecker:
         )
 
     def _corners(self, k: int) -> tuple[Array, Array]:
-        """Return the box corners (8, 3) of both geometries of the resting pair k, each in the frame of the
-        other geometry.
+        """Return the box corners (8, 3) of both geometries of pair `k` in resting contact. The corners of
+        each box are in the frame of the other geometry.
         """
         a, b = (self._placed(int(i)) for i in self.pairs[k])
         return (a[1] - b[0][:3, 3]) @ b[0][:3, :3], (b[1] - a[0][:3, 3]) @ a[0][:3, :3]
@@ -427,7 +431,8 @@ def _between(points: Array, at: float) -> Array:
 
 
 def _from(points: Array, at: float) -> Array:
-    """Return the rest of a motion (k, n), starting where it has separated all bodies in resting contact.
+    """Return the waypoints (m, n) of the part of a motion (k, n) that begins at the position `at`, where
+    resting contact has ended.
 
     The position is counted in edges: 2.5 is the middle of the third edge.
     """
@@ -451,7 +456,8 @@ def _places(points: Array, at: float) -> Iterable[float]:
 
 
 def _along(at: float, share: float, rest: Array, edges: int) -> float:
-    """Convert a fraction of the motion that remains after resting contact to a fraction of the whole motion.
+    """Convert a position in the part of a motion after resting contact to a position in the whole motion.
+    Both positions are fractions from 0 to 1.
 
     Args:
         at: position where the rest begins, counted in edges.

@@ -216,7 +216,8 @@ class _Survey:
         return found
 
     def _hands(self) -> set[str]:
-        """Return the names of the groups that the self-collision survey treats as grippers.
+        """Return the names of the groups that count as grippers when armcell searches for self-collisions to
+        disable.
 
         These are the groups of end effectors, and the groups that share no joint with a group that has a tip
         link.

@@ -39,8 +39,8 @@ def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tup
 
 
 def attached_by_contact(scene: PlanningScene, name: str, link: str, within: float = NEAR) -> PlanningScene:
-    """Return the scene with an object attached to the link that it touches.
-    The object keeps its current pose relative to the link.
+    """Attach an object to a link and return the scene. The object keeps its pose, and the links that touch
+    the object become its touch links.
 
     The touch links are the links that currently touch the object (see `touching_links`).
     """

@@ -19,8 +19,8 @@ _FEW = 32  # arrays with fewer numbers are checked faster one by one than by np.
 
 
 def settings_from(cls: type[T], values: Any, what: str) -> T:
-    """Create a settings dataclass from a nested mapping, such as parsed YAML, after checking the mapping's
-    names and values.
+    """Check the names and values of a nested mapping, such as parsed YAML, and create a settings dataclass
+    from the mapping.
 
     Raises:
         InputError: unknown name (lists the valid names), wrong type, missing or invalid value.
@@ -47,8 +47,8 @@ def _number(value: Any) -> bool:
 
 
 def _like(default: Any, value: Any, what: str) -> Any:
-    """Convert a setting's value from a file to the type of the setting's default value, after checking that
-    this is possible.
+    """Check that a setting's value from a file has the type of the setting's default value, and convert the
+    value to this type.
     """
     if is_dataclass(default) and not isinstance(default, type):
         return settings_from(type(default), value, what)

@@ -22,7 +22,8 @@ LARGEST_HOLES = 0.05  # of the mesh's area: larger holes are openings of a surfa
 
 @lru_cache(maxsize=256)
 def open_edges(mesh: Mesh) -> Ints:
-    """Return the directed edges (e, 2) of a mesh without a counterpart, as indices of its vertices.
+    """Return the directed edges (e, 2) at which a mesh is open, as vertex indices. At these edges, no
+    adjacent triangle has the opposite edge.
 
     Vertices at the same point count as one. A mesh in which every edge has two triangles is closed, even if
     the triangles are not oriented consistently.
@@ -65,7 +66,9 @@ def with_small_holes_filled(mesh: Mesh) -> Mesh:
 
 
 def _loops(edges: Ints) -> list[list[int]]:
-    """Divide directed edges, as many into a vertex as out of it, into simple loops of vertices."""
+    """Divide the open edges of a mesh into simple loops of vertices. Each vertex has as many incoming as
+    outgoing edges.
+    """
     after: dict[int, list[int]] = {}
     for a, b in edges.tolist():
         after.setdefault(a, []).append(b)

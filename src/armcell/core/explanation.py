@@ -41,8 +41,8 @@ class Suggestion:
     works: bool | None = None
 
     def apply(self, scene: Any, request: Any) -> tuple[Any, Any]:
-        """Apply a suggested change to a scene and a request, and return changed copies; the arguments are not
-        modified.
+        """Apply the change that an explanation suggests to copies of a scene and a request, and return the
+        copies.
         """
         return self.change(scene, request, **self.arguments)
 

@@ -164,8 +164,8 @@ def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
 
 
 def _numeric(text: str) -> str:
-    """Decode an IP address from /proc/net, where it is stored as hexadecimal 32-bit words in machine byte
-    order.
+    """Decode the IP address of a network endpoint from /proc/net, where it is stored as hexadecimal 32-bit
+    words in machine byte order.
     """
     words = [int(text[i : i + 8], 16) for i in range(0, len(text), 8)]
     raw = b"".join(word.to_bytes(4, sys.byteorder) for word in words)

@@ -56,8 +56,8 @@ class SolidPrimitive:
 
 @dataclass(frozen=True, eq=False)
 class SizedMesh(Mesh):
-    """Mesh shape in the shape table, which is created from sizes by a function that was registered with
-    `register_shape`.
+    """Mesh of a custom shape in the shape table. A function registered with `register_shape` creates the mesh
+    from the sizes of the shape.
 
     Attributes:
         name: name of the shape in the table.
@@ -97,8 +97,8 @@ class ShapeKind:
         return [float(getattr(shape, size)) for size in self.sizes]
 
     def named(self, shape: Any) -> dict[str, Any]:
-        """Return the sizes [m] of a shape as a dictionary, each size under its own name.
-        If `vector` is set, the dictionary has only this key, and its value is the list of all sizes.
+        """Return the sizes [m] of a shape as a dictionary with the keys that the shape table defines: one key
+        per size, or a single key (see `vector`) for the list of all sizes.
         """
         values = self.values(shape)
         return {self.vector: values} if self.vector else dict(zip(self.sizes, values, strict=True))
@@ -106,7 +106,8 @@ class ShapeKind:
     def from_named(
         self, number: Callable[[str], float], vector: Callable[[str, int], Sequence[float]]
     ) -> Shape:
-        """Create a shape of this kind from sizes that two functions look up by their names, such as `radius`.
+        """Create a shape of this kind. The functions `number` and `vector` supply the sizes by name, such as
+        `radius`.
 
         Args:
             number: reads one number by name.

@@ -241,8 +241,8 @@ class SE3:
 
     @staticmethod
     def from_mapping(value: object, what: str = "pose") -> SE3:
-        """Create a rigid transform (SE3) from a pose in a cell file, which is a list or a mapping with the
-        position and the rotation.
+        """Create a rigid transform (SE3) from a pose that is written as a list, or as a mapping with position
+        and rotation.
 
         The forms are `[x, y, z]`, `[x, y, z, roll, pitch, yaw]` and `{xyz: [...], rpy: [...]}` / `{xyz,
         rpy_deg}` / `{xyz, quat_xyzw}`.

@@ -47,7 +47,9 @@ class GripperReading:
     vacuum: float | None = None  # [kPa] below ambient, highest of the cups; None for jaws or if unknown
 
     def describe(self) -> str:
-        """Describe what a driver's gripper holds, with the gap between its fingers or its vacuum."""
+        """Describe a driver's gripper reading in words: the held object, and the distance between the fingers
+        or, for suction cups, the vacuum.
+        """
         if self.sealed is None:
             return f"{self.held or 'nothing'} is between the fingers ({self.width * 1000:.1f} mm apart)"
         level = "" if self.vacuum is None else f", vacuum {self.vacuum:.0f} kPa"
@@ -214,8 +216,8 @@ class Driver(ABC):
         return self.object_poses()
 
     def welds(self) -> list[WeldRecord]:
-        """Return the objects that a driver has welded to a gripper, that is,
-        attached by a constraint instead of friction.
+        """Return the records of all welds by the driver so far: objects attached to a gripper by a constraint
+        instead of friction.
         """
         return []
 
@@ -243,7 +245,9 @@ class Driver(ABC):
         return None
 
     def unwanted_contacts(self) -> list[ContactRecord]:
-        """Return all contacts so far that the task has not declared to the driver as expected."""
+        """Return the unexpected contacts that the driver has observed so far: those that the task has not
+        declared.
+        """
         return []
 
     # --- forces: Capability.MEASURE_FORCE ---
@@ -305,8 +309,8 @@ class Driver(ABC):
 
     @property
     def next_command_time(self) -> float:
-        """Return the driver's time [s] for the next command,
-        which is the total duration passed to `advance`.
+        """Return the driver's time [s] for the next command. Each call of `advance` adds its duration to this
+        time.
         """
         raise self._incapable(Capability.ROBOT_CLOCK)
 

@@ -18,16 +18,16 @@ class ExecutionHandle(Protocol):
     """Handle for following a trajectory that the robot plays itself."""
 
     def trajectory_time(self) -> float | None:
-        """Return how far [s] a robot has got along the trajectory that it follows.
-        The speed slider and pauses slow it down.
+        """Return the robot's progress [s] along a trajectory that it plays itself. The speed slider and
+        pauses slow the progress.
 
         None if the robot does not report its progress; `state` then returns the outcome at the end.
         """
         ...
 
     def state(self) -> str | Outcome:
-        """Return the state of the followed trajectory: "running", "done", "cancelled",
-        or the reason why it was aborted.
+        """Return the state of a trajectory that the robot plays itself: "running", "done", "cancelled", or
+        the reason why it was aborted.
 
         An outcome is the robot's own decision, which the joint states need not confirm.
         """

@@ -60,7 +60,9 @@ class ArmSample:
 
 
 class GuardedArm(Protocol):
-    """Interface of a real arm as the motion guard needs it for dry runs. `real.RealArm` implements it."""
+    """Interface through which a motion guard reads a real arm's measurements and sets its speed slider.
+    `real.RealArm` implements this interface.
+    """
 
     name: str
     joint_names: tuple[str, ...]
@@ -77,7 +79,9 @@ class GuardedArm(Protocol):
 
 
 class DryRunSimulation(Protocol):
-    """Interface for declaring contacts in the simulation in which a motion guard performs dry runs."""
+    """Interface of a motion guard's dry-run simulation, for declaring expected contacts and watching held
+    objects.
+    """
 
     def expect_contact(self, body: str, others: tuple[str, ...], expected: bool) -> None: ...
 

@@ -60,7 +60,7 @@ class SafetyEvent:
 
 
 class SupervisedArm(Protocol):
-    """What the safety supervisor reads from an arm and commands to it."""
+    """Interface of an arm for the safety supervisor, which reads the arm's faults and stops the arm."""
 
     def fault(self) -> Fault | None:
         """Return the current safety fault of a supervised arm, or None."""

@@ -16,7 +16,8 @@ from armcell.sim import PhysicsSettings, SimWorld
 
 
 class EmulatedKind(Protocol):
-    """Interface of an emulated robot kind, which makes a controller for each of its arms in a cell.
+    """Interface of one robot kind's emulator, which creates an emulated controller for each arm of this kind
+    in a cell.
 
     Attributes:
         physics: physics settings that the emulated drives need.

@@ -16,7 +16,8 @@ MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger 
 
 
 class EmulatedController(Protocol):
-    """Interface of an emulated controller with its ports, which a rack runs.
+    """Interface of an emulated robot controller with its network ports. A `Rack` runs several of these
+    controllers in one thread.
 
     Attributes:
         period: control period [s].
@@ -36,7 +37,9 @@ class EmulatedController(Protocol):
         ...
 
     def step(self) -> None:
-        """Run one control step of an emulated robot in the rack, and serve its network ports."""
+        """Run one control step of an emulated robot and serve its network ports. A `Rack` calls this method
+        once per control period.
+        """
         ...
 
     def reset(self) -> None:

@@ -11,11 +11,13 @@ class SharedPlant(Protocol):
     """Interface of an emulated arm in a shared world."""
 
     def set_joint_targets(self, time: float) -> None:
-        """Set the arm's commands for the physics step that ends at a world time [s]."""
+        """Set an emulated arm's commands for the physics step of the shared world that ends at a world time
+        [s].
+        """
         ...
 
     def follow_reset(self) -> None:
-        """Continue from the initial state, because the shared world was reset."""
+        """Let an emulated arm continue from its initial state after the shared world was reset."""
         ...
 
 
@@ -44,7 +46,8 @@ class SharedWorld:
             plant.follow_reset()
 
     def advance(self, period: float) -> None:
-        """Advance the shared world by an emulated arm's part of its control period [s].
+        """Advance the shared world by one arm's share of its control period [s]. Each of the n arms with the
+        shortest period contributes 1/n of the period.
 
         A remainder of less than one time step is kept for later.
         """

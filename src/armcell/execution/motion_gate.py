@@ -42,8 +42,8 @@ class World(Protocol):
 
     @property
     def base(self) -> PlanningScene:
-        """Planning scene of the motion gate without measured values.
-        Every change to the scene results in a new object.
+        """Planning scene of the cell for the motion gate, before measured joint positions and object poses
+        are applied. Every change to the scene results in a new object.
         """
         ...
 
@@ -103,7 +103,8 @@ class MotionGate:
         cancel: threading.Event | None = None,
         scene: Callable[[], PlanningScene] | None = None,
     ) -> GuardedMotion:
-        """Return a motion that the gate guards against collisions and that the executor accepts.
+        """Wrap a trajectory in a `GuardedMotion`, which this motion gate checks for collisions and the
+        executor accepts.
 
         Args:
             planned_in: scene in which the trajectory was planned; its allowed contacts apply to the motion.
@@ -367,8 +368,8 @@ def describe(found: Conflict, passed: float, began: bool) -> str:
 
 @dataclass(frozen=True)
 class DriverWorld:
-    """World for the motion gate of a driver without a cell:
-    the driver's scene with the measured joints and objects.
+    """Planning scene, with measured joint positions and object poses, that the motion gate uses for a driver
+    without a cell.
     """
 
     driver: Any

@@ -69,8 +69,8 @@ class SetpointSource(ABC):
         """
 
     def ended(self) -> Outcome | None:
-        """Return the outcome if the motion has ended for a reason
-        other than a violated tolerance, else None.
+        """Return the outcome if, according to the setpoint source, the motion has ended for a reason other
+        than a violated tolerance, else None.
         """
         return None
 
@@ -81,7 +81,7 @@ class SetpointSource(ABC):
         return self.driver.now - self._completed_at
 
     def cancel(self) -> None:
-        """Cancel a motion: the robot discards the setpoints that it has already received."""
+        """Cancel the setpoints of a motion: the robot discards those that it has already received."""
         return None
 
     def halted(self) -> bool:
@@ -91,7 +91,9 @@ class SetpointSource(ABC):
         return True
 
     def end(self, outcome: Outcome) -> None:
-        """Clean up a setpoint source after its motion has ended with an outcome."""
+        """Finish the monitoring that the setpoint source has started for a motion. `outcome` is the result of
+        the motion.
+        """
         return None
 
 

@@ -106,7 +106,7 @@ def surface_coverage(
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """Grasp candidates that fit around an object geometrically.
+    """Grasp candidates for an object, with the result of the geometric checks for each candidate.
 
     They are cached per object, gripper and up direction. Mass and friction decide how many are sampled.
     """
@@ -156,7 +156,9 @@ def _sampled(
     batches: Iterable[Proposals], item: CollisionObject, surface: Surface, hand: Hand, up: Array,
     on_support: bool,
 ) -> _Fitted | SuctionCandidates:  # fmt: skip
-    """Fit batches of proposals until there are enough good grasps or the generator ends."""
+    """Check batches of proposed grasps for whether the hand fits the object, until there are enough good
+    grasps or the generator has no more proposals.
+    """
     found, best = None, -np.inf
     for proposals in batches:
         fitted = _fit(proposals, surface, hand, up, on_support)
@@ -187,7 +189,8 @@ def _fit(
 
 
 class _Loads:
-    """Forces, slants and scores of the candidates that fit, one row each.
+    """Grip forces, contact angles and scores of the grasp candidates that passed the geometric checks, one
+    row per candidate.
 
     Attributes:
         good: (k,) indices of the candidates.
@@ -244,7 +247,7 @@ class _Loads:
         self.beside, self.score = tilting + beyond, quality * from_above - preferred
 
     def holds(self) -> NDArray[np.bool_]:
-        """Return a mask of the candidates whose friction and force suffice."""
+        """Return a mask (k,) of the grasp candidates for which gripper force and friction suffice."""
         strong = self.force <= self.gripper.max_force
         return strong & (self.slanted <= self.friction) & (self.least <= self.gripper.max_force)
 

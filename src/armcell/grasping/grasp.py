@@ -57,7 +57,7 @@ class Rejection:
 
 
 def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
-    """Return the rejected grasp candidate that passed most of the checks, or None.
+    """Return the `Rejection` of the grasp candidate that passed the most checks, or None.
 
     Among equals, the candidate with the smallest excess wins.
     """
@@ -65,7 +65,7 @@ def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
 
 
 def why_none(rejected: list[Rejection], covered: float) -> str:
-    """Explain in one line why an object has no grasp candidate.
+    """Explain in one line, from the list of rejections, why an object has no grasp candidate.
 
     Args:
         covered: share of the surface that was tried, from 0 to 1.
@@ -79,7 +79,7 @@ def why_none(rejected: list[Rejection], covered: float) -> str:
 
 
 def rejection_sort_key(rejection: Rejection) -> tuple[int, float]:
-    """Return a sort key for rejected grasp candidates: first the number of passed checks,
-    then how far the next check was missed.
+    """Return the sort key of a `Rejection`: candidates that passed more checks come first, then those that
+    failed the next check by less.
     """
     return -rejection.passed, rejection.excess

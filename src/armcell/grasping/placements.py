@@ -157,14 +157,18 @@ def rotated_placement(
 
 
 def placement_axis(item: CollisionObject, placement: Placement) -> SE3:
-    """Return T_world_axis, whose z axis is the surface normal through the center of a placed object."""
+    """Return the frame T_world_axis of a placement, whose z axis is the surface normal through the center of
+    the placed object.
+    """
     up = SO3.between((0.0, 0.0, 1.0), placement.normal)
     along = placement.T_world_object.apply(_corners(item)) @ up.matrix
     return SE3(up, up.matrix @ (along.min(0) + along.max(0)) / 2)
 
 
 def _corners(item: CollisionObject) -> Array:
-    """Return the points (n, 3) [m] of an object's surface that bound it, in the object's frame."""
+    """Return the surface points (n, 3) [m] that determine an object's extent in a placement, in the object's
+    frame.
+    """
     surface = surface_of(item)
     return surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
 
@@ -202,7 +206,8 @@ def _turns(item: CollisionObject, side: StablePose, frame: SE3) -> list[tuple[fl
 
 
 def _slope(frame: SE3) -> Array:
-    """Return the slope (2,) of the vertical relative to the normal of a tilted support surface.
+    """Return the slope (2,) of the vertical relative to the normal of a tilted surface on which an object is
+    placed.
 
     The vertical through a point at height h above the surface meets the surface at h * slope from the
     point's projection along the normal, in the x and y axes of the surface.

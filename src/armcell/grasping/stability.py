@@ -33,7 +33,7 @@ class StablePose:
 
     @property
     def height(self) -> float:
-        """Return the height [m] of the origin of a stably resting object above its support."""
+        """Return the height [m] of an object's origin above its support in a stable resting pose."""
         return -float(self.foot[0] @ self.up)
 
 
@@ -41,7 +41,8 @@ _kept: OrderedDict[tuple, tuple[StablePose, ...]] = OrderedDict()
 
 
 def stable_poses(item: CollisionObject) -> tuple[StablePose, ...]:
-    """Return the sides of an object's convex hull on which the object can rest stably, most stable first.
+    """Return the stable resting poses of an object, that is, the sides of its convex hull on which it can
+    rest, most stable first.
 
     Round shapes are approximated by polygons and rest on their narrow sides, with almost no margin.
     """

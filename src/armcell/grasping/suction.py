@@ -45,7 +45,9 @@ CORNER = np.cos(np.pi / 8)  # physics supports a ring at eight points
 
 @dataclass(frozen=True, eq=False)
 class SuctionCandidates:
-    """Suction grasps with the gap around each cup. They do not depend on mass and friction."""
+    """Candidates for suction grasps, with the measured gap around each cup. These values do not depend on the
+    object's mass or friction.
+    """
 
     names: tuple[str, ...]
     poses: Array  # (k, 4, 4) T_object_tcp, at the standoff from the surface
@@ -59,7 +61,9 @@ class SuctionCandidates:
 def find_seals(
     names: tuple[str, ...], poses: Sequence[Array], surface: Surface, hand: Hand, up: Array, on_support: bool
 ) -> SuctionCandidates:
-    """Place suction grasps on a surface, and measure the gaps around their cups by rays."""
+    """Place suction grasps on a surface, and measure the gaps around their cups by ray casting, to check
+    whether the cups seal.
+    """
     gripper = hand.gripper
     assert isinstance(gripper, SuctionGripper)
     T, count = np.array(poses, dtype=float).reshape(-1, 4, 4), len(hand.cups)
@@ -92,8 +96,11 @@ def find_seals(
 
 
 def _heights(T: Array, surface: Surface, hand: Hand, gripper: SuctionGripper) -> Array:
-    """Return the heights (k, c, RAYS + INNER + 1) [m] of a surface along the tcp's z axis: around the ring of
-    each cup, on a circle inside it, and at its center; infinite where a ray meets no surface.
+    """Measure a surface under suction cups by rays along the tcp's z axis. Return the heights (k, c, RAYS +
+    INNER + 1) [m], which are infinite where a ray meets no surface.
+
+    The rays meet RAYS points around the ring of each cup, INNER points on a circle of half the cup's radius,
+    and the cup's center.
     """
     angle = 2 * np.pi * np.arange(RAYS) / RAYS
     circle = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
@@ -115,7 +122,8 @@ def _heights(T: Array, surface: Surface, hand: Hand, gripper: SuctionGripper) ->
 
 @njit(cache=True)
 def first_hits(origins, directions, radii, triangles, middles, reaches):
-    """Return the distances (k, c, r) [m] from points to the first triangle along a direction, inf if none.
+    """Return the distances (k, c, r) [m] along a suction cup's rays from their start points to the first
+    triangle, inf if none.
 
     Args:
         origins: (k, c, r, 3) start points of the rays of c cups; the last one is at the cup's center.
@@ -134,7 +142,9 @@ def first_hits(origins, directions, radii, triangles, middles, reaches):
 
 @njit(cache=True)
 def _cup_hits(origins, dx, dy, dz, radius, triangles, middles, reaches, found):
-    """Update the distances (r,) `found` of the rays of one cup; see `first_hits`."""
+    """Update `found` (r,), the distance [m] along each ray of one suction cup to the first triangle that the
+    ray hits. See `first_hits`.
+    """
     last = len(origins) - 1
     for t in range(len(triangles)):
         mx, my, mz = (
@@ -169,7 +179,9 @@ def _cup_hits(origins, dx, dy, dz, radius, triangles, middles, reaches, found):
 def evaluate_suction_grasps(
     item: CollisionObject, hand: Hand, seals: SuctionCandidates, up: Array
 ) -> tuple[list[Grasp], list[Rejection]]:
-    """Return the suction grasps that seal and carry an object, best first, and the others with reasons."""
+    """Check suction grasps for seal and holding force. Return those that can carry the object, best first,
+    and the rejected ones with reasons.
+    """
     gripper = hand.gripper
     assert isinstance(gripper, SuctionGripper)
     stroke = np.array([cup.stroke for cup in gripper.cups])
@@ -219,7 +231,8 @@ def evaluate_suction_grasps(
 
 
 class _Carried:
-    """Statics of an object that hangs on the sealed cups of a hand, in the tcp frame.
+    """Force and moment balance of an object that is held by the sealed suction cups of a hand, in the tcp
+    frame.
 
     Attributes:
         force: vacuum force [N] of the sealed cups.
@@ -237,12 +250,16 @@ class _Carried:
         self.lever = float(np.linalg.norm(np.cross(com - [*self._center, 0.0], down)))
 
     def strength(self, load: float, friction: float) -> float:
-        """Return the vacuum force [N] that carries a load [N] by pull and friction."""
+        """Return the vacuum force [N] that suction cups need to hold a load [N]: its pull normal to the cups,
+        plus its tangential part divided by the friction coefficient.
+        """
         along = float(np.linalg.norm(self._down[:2]))
         return max(load * (max(float(self._down[2]), 0.0) + along / friction), 1e-9)
 
     def tilt(self, load: float) -> float:
-        """Return how far [m] the pressure on the rings acts outside their hull; negative: inside."""
+        """Return the signed distance [m] of the contact pressure's center from the convex hull of the suction
+        cups' rings: positive outside (the object tilts off), negative inside.
+        """
         L = load * self._down
         moment = np.cross(self._com, L)
         press = self.force - float(L[2])
@@ -256,7 +273,9 @@ class _Carried:
 
 
 def _leak(gaps: Array, bulges: Array, stroke: Array) -> tuple[str, int, float]:
-    """Return why no cup of a grasp seals, how many checks it passed, and by how much it failed."""
+    """Return why none of the cups in a suction grasp seals, how many checks the grasp passed, and by how much
+    [m] it failed the next check.
+    """
     if not np.isfinite(gaps).any():
         return "every cup is over an edge or a hole of the surface", 0, np.inf
     open_by, bulge_by = gaps - REACH * stroke, bulges - BULGE

@@ -115,7 +115,9 @@ def _tilted(shape: object, T: SE3) -> Iterator[Found]:
 
 
 def _tilted_faces(mesh: Mesh, T: SE3) -> Iterator[Found]:
-    """Yield the tilted planar faces of a mesh that fill a rectangle, as support surfaces."""
+    """Yield the tilted planar faces of a mesh that are nearly rectangular, as surfaces on which objects can
+    be placed.
+    """
     triangles = T.apply(mesh.vertices)[mesh.faces]
     normal, area = _normals(triangles)
     left = (area > 0) & (normal[:, 2] > np.cos(UPWARD)) & (normal[:, 2] < np.cos(LEVEL))
@@ -151,7 +153,9 @@ def _along_an_edge(corners: Array, normal: Array) -> Array:
 
 # --- common helpers ---
 def _side(shape: Box | Cylinder, T: SE3, axis: int, sign: float, normal: Array) -> Found:
-    """Return the face of a box or cylinder at one end of an axis, as a possible support."""
+    """Return the face of a box or cylinder at the positive or negative end of one of its axes, as a surface
+    on which objects can be placed.
+    """
     x, y = [k for k in range(3) if k != axis]
     half = shape.half_extents
     scale = 1 / np.sqrt(2) if isinstance(shape, Cylinder) else 1.0  # inscribed square of the circle

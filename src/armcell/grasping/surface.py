@@ -190,8 +190,8 @@ def _inside(shape: Shape, points: Array) -> NDArray[np.bool_]:
 
 
 def triangles_of(shape: Shape) -> Array:
-    """Return the surface triangles (t, 3, 3) [m] of a shape in its own frame, counterclockwise seen from
-    outside.
+    """Return the outer surface of a shape as triangles (t, 3, 3) [m] in its own frame, counterclockwise seen
+    from outside.
 
     Raises:
         InputError: the shape is a plane or a cloud.

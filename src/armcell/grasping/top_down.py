@@ -137,7 +137,9 @@ def top_down_grasps(
 def _only_pieces(
     seen: HeightMap, labels: NDArray[np.int64], T: SE3, width: float, half: float, tip: float
 ) -> bool:
-    """Return whether 90 % of the points between the fingers belong to objects, not to the bin's walls."""
+    """Return whether more than 90 % of the visible points between the fingers of a top-down grasp belong to
+    objects, not to the bin's walls.
+    """
     r = seen.resolution
     x, y = np.meshgrid(np.arange(-half, half + r, r), np.arange(r - width / 2, width / 2, r))
     at = T.apply(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))[:, :2]

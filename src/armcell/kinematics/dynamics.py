@@ -216,7 +216,7 @@ class InverseDynamics:
         return self.model.limits(self.joint_names, "effort")
 
     def torque_coefficients(self, positions: Array, first: Array, second: Array) -> Array:
-        """Return coefficients of the joint torques along a path, computed by inverse dynamics:
+        """Compute the joint torques along a path by inverse dynamics, as the coefficients of
         `tau = a u + b x + c`, with path acceleration u and squared path speed x.
 
         Args:

@@ -148,7 +148,9 @@ class KinematicTree:
         return self._forward(np.zeros_like(self.parent), q)[1:]
 
     def _forward(self, parent: NDArray[np.int64], q: ArrayLike) -> Array:
-        """Return the poses (links, 4, 4) of all links, where parent[i] is the parent link of link i + 1."""
+        """Compute the forward kinematics of a kinematic tree: return the poses (links, 4, 4) of all links,
+        where parent[i] is the parent link of link i + 1.
+        """
         out = np.empty((len(self.link_names), 4, 4))
         q = np.ascontiguousarray(float_array(q, (self.model.dof,), "positions", finite=False))
         forward(

@@ -258,8 +258,8 @@ def _checked(path: Path) -> Path:
 
 
 def _scale_to_meters(path: Path, scale: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Multiply the scale (3,) of a mesh by the length unit [m] that its COLLADA file declares, as RViz and
-    Gazebo do.
+    """Convert the scale (3,) of a mesh file to meters: multiply it by the length unit [m] that a COLLADA file
+    declares, as RViz and Gazebo do.
 
     Other formats have no unit: their numbers are meters.
     """
@@ -381,8 +381,8 @@ def load_visual_parts(
 
 
 def _own_color(part: trimesh.Trimesh) -> Color:
-    """Return the RGBA color of a robot's mesh: the color of its material,
-    or else the mean color of its faces.
+    """Return the RGBA color that a robot's mesh file defines: the color of the material, or else the mean
+    color of the faces.
     """
     source = getattr(part.visual, "material", None) or part.visual
     rgba = np.asarray(getattr(source, "main_color", ()), dtype=float)

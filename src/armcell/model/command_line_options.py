@@ -40,14 +40,15 @@ def assignments(words: Iterable[str], separator: str, what: str) -> dict[str, st
 
 
 def set_xacro_args(words: Iterable[str]) -> None:
-    """Set xacro arguments from options `name:=value`.
-    They apply to all robot files loaded by this process and its children.
+    """Set xacro arguments from command-line options `name:=value`. They apply to all robot files loaded by
+    this process and its children.
     """
     _put(XACRO_ARGS, assignments(words, ":=", "--xacro-arg"))
 
 
 def set_packages(words: Iterable[str]) -> None:
-    """Set the folders of ROS packages, given as options `name=folder`, for this process and its children.
+    """Set the folders of ROS packages, given as command-line options `name=folder`, for this process and its
+    children.
 
     Raises:
         InputError: a folder does not exist.
@@ -63,12 +64,14 @@ def set_packages(words: Iterable[str]) -> None:
 
 
 def xacro_args(own: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the xacro arguments of a robot file. Options on the command line take precedence."""
+    """Combine the xacro arguments of a robot file with those from command-line options, which take
+    precedence.
+    """
     return {**(own or {}), **_read(XACRO_ARGS)}
 
 
 def package_folder(name: str) -> Path | None:
-    """Return the folder that the option `--package` names for a ROS package, or None."""
+    """Return the folder of a ROS package that the command-line option `--package` specifies, or None."""
     folder = _read(PACKAGES).get(name)
     return None if folder is None else Path(folder)
 

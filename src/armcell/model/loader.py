@@ -282,8 +282,8 @@ def _part_robot(robot: str, folder: Path, file: Path, allow_env: bool | None) ->
 
 
 def _curve(rows: Any, where: dict[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Check a gripper's curve, with rows of joint position, width, y and z.
-    It must be monotonic from closed to open.
+    """Read the opening curve of a gripper from robot.yaml: rows of joint position, width, y and z. The curve
+    must be monotonic from closed to open.
     """
     try:
         table = np.array(rows, dtype=float)

@@ -58,7 +58,9 @@ class Link:
 @dataclass(frozen=True)
 @checked("lower", "upper", "velocity", "acceleration", "jerk", "effort")
 class JointLimits:
-    """Limits of a robot joint: position [rad or m], velocity, acceleration, jerk and effort [Nm or N]."""
+    """Limits of a joint in a robot model: position [rad or m], velocity, acceleration, jerk and effort [Nm or
+    N].
+    """
 
     lower: float = -np.inf
     upper: float = np.inf
@@ -83,7 +85,9 @@ class Mimic:
 @dataclass(frozen=True)
 @checked()
 class Servo:
-    """Gains of the position servo of a robot joint: force = kp (target - q) + kv (target speed - speed)."""
+    """Gains of a joint's position servo in a robot model: force = kp (target - q) + kv (target speed -
+    speed).
+    """
 
     kp: float  # [Nm/rad or N/m]
     kv: float = 0.0  # [Nm s/rad or N s/m]

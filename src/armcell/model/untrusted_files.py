@@ -171,8 +171,8 @@ def yaml_value(text: str) -> Any:
 
 
 class _RosLoader(_Loader):
-    """YAML loader for the files of ROS packages, which keeps the last of equal keys and reads `!degrees` and
-    `!radians`, as rosparam does.
+    """YAML loader for the files of ROS packages. As in rosparam, the last value of a repeated key counts, and
+    the tags `!degrees` and `!radians` are supported.
     """
 
     path: Path | None = None

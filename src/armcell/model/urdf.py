@@ -168,7 +168,9 @@ class _Reader:
         return RobotModel(name=name, root_link=root_link, links=links, joints=ordered, source=str(self.file))
 
     def without_links(self) -> str | None:
-        """Return a hint for a file that only defines macros: the files of its package that include it."""
+        """Return a hint for a URDF file that has no links because it only defines macros: the files of its
+        package that include it.
+        """
         if b"macro" not in self.file.read_bytes():
             return None
         package = package_above(self.file.resolve()) or self.folder
@@ -358,7 +360,8 @@ class _Reader:
         return Visual(self.origin(element), shape=self.shape(element), color=color)
 
     def joint(self, element: etree._Element, links: dict[str, Link]) -> list[Joint]:
-        """Convert a URDF joint to one joint. A planar or floating joint becomes several joints.
+        """Convert a URDF joint to joints of the robot model: several joints for a planar or floating joint,
+        one joint for any other type.
 
         Massless links connect the joints of such a chain.
         """

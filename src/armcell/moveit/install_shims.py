@@ -35,8 +35,8 @@ SHIMS = {
 
 
 class _MessageModule(types.ModuleType):
-    """Module that replaces the one of a ROS message package, `<package>.msg` or `<package>.srv`. It creates
-    each message class on first access.
+    """Shim module that is installed as `<package>.msg` or `<package>.srv` of a ROS message package. It
+    creates each message class on first access.
     """
 
     def __init__(self, name: str, classes: MessageClasses, package: str, kinds: list[str]):
@@ -75,8 +75,8 @@ class _MessageModule(types.ModuleType):
 
 
 def _service_class(classes: MessageClasses, name: str) -> type | None:
-    """Return a service class for a shim module.
-    It contains the request class and the response class of the service.
+    """Return a service class for an installed shim module. It contains the request class and the response
+    class of the service.
 
     Returns:
         The class, or None if the name is not a service.
@@ -94,8 +94,8 @@ def _service_class(classes: MessageClasses, name: str) -> type | None:
 
 
 def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
-    """Create shim modules for all ROS message packages,
-    with their `.msg` and `.srv` submodules, ready to be installed.
+    """Create the shim modules to install for all ROS message packages, with their `.msg` and `.srv`
+    submodules.
     """
     schema = classes.schema
     parts = {f"{s}{end}" for s in schema.services for end in ("Request", "Response")}

@@ -114,7 +114,8 @@ def _run(script: Path, session: Session) -> int:
 
 
 def _finish(session: Session) -> None:
-    """Wait at the end of a ROS script for the motions that it started, unless the user pressed Ctrl-C.
+    """Wait after running a ROS script until the motions that it started have ended, unless the user pressed
+    Ctrl-C.
 
     The script may have caught the Ctrl-C and ended normally.
     """

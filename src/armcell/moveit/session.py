@@ -115,8 +115,8 @@ class Session:
                 logger.exception("a shutdown hook failed")
 
     def interrupt(self) -> None:
-        """Handle a signal while a ROS script runs.
-        Every waiting call ends, and `is_shutdown()` returns True. The shutdown hooks run later.
+        """Interrupt the session of a ROS script after a signal. Every waiting call ends, and `is_shutdown()`
+        returns True. The shutdown hooks run later.
         """
         self.interrupted = True
         self.shutting_down.set()
@@ -149,7 +149,7 @@ class Session:
         return self.messages.local(self.bus.call(service, request))
 
     def say(self, level: str, text: str) -> None:
-        """Write a log line of a ROS script to standard error, in the format of ROS."""
+        """Write a log line in the session of a ROS script to standard error, in the format of ROS."""
         line = f"[{level}] [{self.bus.clock.now():.3f}]: {text}"
         self.lines.append(line)
         if self.graph is not None:
@@ -184,8 +184,8 @@ class Session:
             )  # fmt: skip
 
     def hint_at_missing_joint_states(self) -> None:
-        """Log a hint for the ROS script if the external simulator or robot has stopped sending joint states.
-        The hint appears only once.
+        """Log a hint in the session of a ROS script if the external simulator or robot has stopped sending
+        joint states. The hint appears only once.
         """
         if isinstance(self.served, ServedPlanner) and self.served.driver.time_since_joint_states > SILENT:
             self.hint(

@@ -68,8 +68,8 @@ def _points_up(T: SE3) -> bool:
 
 
 def _flange(model: RobotModel, group: str) -> str:
-    """Return the link on which a group's gripper is mounted, for a hint about a wrong target link.
-    The name is empty without a gripper.
+    """Return the name of the link on which a group's gripper is mounted (the flange), which hints about
+    targets mention. Return an empty string if the group has no gripper.
 
     MoveIt packages usually end the group at this link.
     """

@@ -101,12 +101,15 @@ class CameraMap:
         )  # fmt: skip
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the planning scene in which this occupancy map from camera images is the octomap."""
+        """Return a copy of the planning scene whose octomap is replaced with this occupancy map from camera
+        images.
+        """
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)
 
 
 def _without_speckle(mask: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """Return the pixel mask of a camera image without patches of fewer than `least` connected pixels.
+    """Return a mask of camera pixels for the occupancy map, without patches of fewer than `least` connected
+    pixels.
 
     Pixels are 8-connected.
 

@@ -63,8 +63,8 @@ def _background(image: CameraImage) -> NDArray[np.uint8]:
 
 @lru_cache(maxsize=64)
 def _edges(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
-    """Return the end points (n, 2, 3) of an object's sharp edges, to draw it.
-    For a smooth object, return some of the mesh edges.
+    """Return the end points (n, 2, 3) of an object's sharp edges, to draw the object into an image. For a
+    smooth object, return some of the mesh edges.
     """
     import trimesh
 

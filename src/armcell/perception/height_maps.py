@@ -52,8 +52,8 @@ def height_map(
 
 
 def _filled(heights: F64) -> F64:
-    """Fill each cell without a height in a height map with the height
-    of its highest neighbor, from the rim inward.
+    """Fill the empty cells of a height map from the rim inward: each empty cell gets the height of its
+    highest neighbor.
     """
     from scipy.ndimage import grey_dilation
 
@@ -69,7 +69,8 @@ def _filled(heights: F64) -> F64:
 def label_pieces(
     seen: HeightMap, where: NDArray[np.bool_], above: float, step: float = 0.010, smallest: int = 8
 ) -> NDArray[np.int64]:
-    """Label each separate piece in a height map (nx, ny) with a number. Cells outside all pieces get -1.
+    """Segment the height map (nx, ny) of a bin: label each separate piece with a number. Cells outside all
+    pieces get -1.
 
     A height step between neighboring cells separates two pieces.
 

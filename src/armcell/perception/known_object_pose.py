@@ -130,7 +130,7 @@ def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
 
 # --- symmetry ---
 def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
-    """Return the pose that is equivalent to an object's pose T and nearest to a prior pose.
+    """Return the pose of a known object that is equivalent to its pose T and nearest to a prior pose.
 
     Two poses are equivalent if the object looks the same in both of them because it is symmetric.
 
@@ -159,7 +159,9 @@ def _angle(a: SO3, b: SO3) -> float:
 
 
 def _spun(here: SO3, wanted: SO3) -> SO3:
-    """Return a rotation near `wanted` whose z axis is parallel or antiparallel to the z axis of `here`."""
+    """Return the rotation of a known object that is near its prior rotation `wanted` and has its z axis
+    parallel or antiparallel to the z axis of `here`.
+    """
     axis = here.matrix[:, 2]
     if axis @ wanted.matrix[:, 2] < 0:
         axis = -axis

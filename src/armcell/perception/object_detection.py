@@ -76,8 +76,7 @@ class LookSettings:
 
 @dataclass(frozen=True)
 class DetectedObject(Outcome):
-    """An object that `look` has detected, with its pose.
-    If the pose is unknown, the object has the reason instead.
+    """Object that `look` has detected, with its pose or with the reason why its pose is unknown.
 
     Without a pose, `code` and `message` give the reason, and `points` remain.
     """
@@ -293,8 +292,8 @@ class _ObjectCluster:
 def _beside(
     pixels: NDArray[np.int64], points: F64, eye: F64, ring: int, margin: float, size: tuple[int, int]
 ) -> tuple[F64, F64, float]:
-    """Return camera rays (m, 3) that pass beside a cluster of points, the free length (m,) [m] of each ray,
-    and the occluded fraction of the cluster's outline.
+    """Return evidence for fitting an object to a cluster of points: camera rays (m, 3) that pass beside the
+    cluster, the free length (m,) [m] of each ray, and the occluded fraction of the cluster's outline.
 
     The outline is occluded where a nearer object or the image border cuts it off.
     """

@@ -36,7 +36,7 @@ class SupportPlane:
         return float_array(points, (-1, 3), "points", finite=False) @ self.normal - self.offset
 
     def frame(self, point: F64) -> SE3:
-        """Return a frame on the support plane whose origin is the projection of a given point.
+        """Return a frame on the detected support plane whose origin is the projection of a given point.
 
         The z axis is the plane's normal. The shortest rotation from the world frame determines x and y.
         """

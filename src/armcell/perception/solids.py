@@ -64,7 +64,8 @@ NO_GRID = np.zeros((1, 1, 1))
 
 
 def primitive(kind: int, size: tuple[float, float, float]) -> Solid:
-    """Create a solid from a single primitive in its own frame, for computing signed distances.
+    """Create a solid from a single primitive in its own frame, for computing the signed distances of camera
+    points.
 
     The size is a box's half extents, a cylinder's radius and half length, or a sphere's radius.
     """
@@ -78,7 +79,7 @@ def primitive(kind: int, size: tuple[float, float, float]) -> Solid:
 
 
 def solid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
-    """Create a solid from the shapes of an object, for computing signed distances.
+    """Create a solid from the shapes of an object, for computing the signed distances of camera points.
 
     Args:
         shapes: (shape, T_object_shape) pairs, as in `CollisionObject.shapes`.
@@ -119,7 +120,8 @@ def _part(shape: Shape) -> tuple[int, tuple[float, float, float]] | None:
 
 
 def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
-    """Return one triangle mesh that contains the surfaces of all shapes of an object.
+    """Return one triangle mesh with the surfaces of all shapes of an object, for fitting the object to camera
+    points.
 
     The mesh is in the object's frame. Perception uses it to fit the object to camera data and to draw it.
     """

@@ -47,8 +47,9 @@ PADDED_ROUNDINGS = (
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotion:
-    """Result of the proof of a planned path: the timed motion if the path is collision-free, else only the
-    certificate, which names the contact."""
+    """Result of certifying a planned path: if the path is collision-free, the certificate and the timed
+    motion, else only the failed certificate, which names the contact.
+    """
 
     certificate: Certificate
     trajectory: JointTrajectory | None = None

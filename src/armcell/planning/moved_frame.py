@@ -57,11 +57,15 @@ class MovedFrame:
         return self.tree.link_pose(self.full(q), self.link) @ self.T_link_point
 
     def link_target(self, T_world_name: SE3) -> SE3:
-        """Convert a target pose for a moved frame to the target pose for the link that carries it."""
+        """Convert a target pose of this frame to the target pose of the robot link to which the frame is
+        attached.
+        """
         return T_world_name @ self.T_link_point.inverse()
 
     def velocity(self, q: ArrayLike, qd: ArrayLike) -> Array:
-        """Compute the velocity (3,) [m/s] of the origin of a moved frame in the world."""
+        """Compute the world velocity (3,) [m/s] of the origin of this frame, given the positions q (n,) and
+        velocities qd (n,) of its group's joints.
+        """
         full = self.full(q)
         twist = self.tree.jacobian(full, self.link, self.joint_names) @ np.asarray(qd)
         arm = self.tree.link_pose(full, self.link).rotation.matrix @ self.T_link_point.translation
@@ -91,7 +95,9 @@ def check_cartesian_speed(speed: float | None) -> None:
 def limit_cartesian_speed(
     trajectory: JointTrajectory, moved_frame: MovedFrame, speed: float
 ) -> JointTrajectory:
-    """Slow down a trajectory so that the origin of a moved frame never exceeds `speed` [m/s]."""
+    """Slow down a trajectory so that the Cartesian speed of a frame's origin never exceeds `speed` [m/s]. The
+    planning group's joints move this frame.
+    """
     return slow_down(trajectory, max(1.0, peak_cartesian_speed(trajectory, moved_frame) / speed))
 
 

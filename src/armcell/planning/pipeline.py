@@ -255,8 +255,8 @@ def _problem(validated: ValidatedRequest, endpoints: StartAndGoals, seed: int) -
 
 
 def attempt(validated: ValidatedRequest, endpoints: StartAndGoals, number: int) -> PlanResult:
-    """Run the planner that the pipeline has selected repeatedly, with different seeds, until a path can be
-    certified and timed.
+    """Run the pipeline's selected planner in rounds with different seeds, until a path can be certified and
+    timed.
 
     Planners check the padding only at samples, so between samples a thin obstacle can be nearer than the
     padding. A few more rounds therefore try to find a motion that keeps the padding everywhere.

@@ -115,7 +115,7 @@ class ValidatedRequest:
         return ""
 
     def failed(self, outcome: Outcome) -> PlanResult:
-        """Create the failed PlanResult of a validated planning request from an outcome."""
+        """Create the PlanResult of a validated planning request that failed with the given outcome."""
         return PlanResult(
             outcome.code,
             outcome.message,

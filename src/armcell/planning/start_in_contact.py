@@ -101,8 +101,8 @@ def find_departure(
 
 
 def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> ValidatedRequest | Outcome:
-    """Move the start of a plan out of resting contact and store this motion as the plan's `lead_in`, or
-    refuse the start.
+    """Find a motion that takes the start of a plan out of resting contact, and store the motion as the plan's
+    `lead_in`. If there is none, reject the start.
 
     `start_repaired` in the evidence reports the distance between the old and the new start.
     """
@@ -203,7 +203,8 @@ def _refused(what: str, contacts: list[Contact], found: Departure | None) -> Out
 
 
 def _separate_bodies(checker: KernelChecker, start: Array, distance: float) -> Array | None:
-    """Push the bodies that touch each other at the start of a plan apart, to a distance [m] between them.
+    """Compute a motion that separates bodies in contact at the start of a plan, until they are `distance` [m]
+    apart.
 
     Return the configurations (k, n) of this motion, beginning with the start. Return None if no bodies touch
     or if they cannot be separated.
@@ -279,7 +280,9 @@ def _rows(exact: ExactChecker, pair: Pair) -> list[tuple[int, int]]:
 
 
 def _turning(exact: ExactChecker, q: Array, pair: Pair) -> Array:
-    """Return the Jacobian (3, n) of the relative rotation of two bodies that are in contact at the start."""
+    """Return the Jacobian (3, n) of the relative rotation of two bodies that are in contact at the start of a
+    plan.
+    """
     a, b = _rows(exact, pair)[0]
     full, names = exact.full(q), exact.joint_names
     turn = np.zeros((3, len(q)))

@@ -132,7 +132,7 @@ def _input_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[s
 def _pairs(
     a: tuple[RecordedState, ...], b: tuple[RecordedState, ...]
 ) -> Iterator[tuple[RecordedState, RecordedState]]:
-    """Yield the pairs of states that two compared runs have at the same time.
+    """Yield pairs of simultaneous states of two compared runs.
 
     Paced and real runs have irregular sampling times: each state is paired with the nearest state of the
     other run that is within half a sampling period.

@@ -157,7 +157,9 @@ class _Reading:
         self._poses: dict[str, Array] = {}
 
     def read(self) -> str:
-        """Read a record from its file. Return an empty string or, if the file is cut off, the cause."""
+        """Read and parse the record's file. Return an empty string if the file is complete; otherwise return
+        a text that states where it is cut off or damaged.
+        """
         from mcap.exceptions import InvalidMagic, McapError
         from mcap.stream_reader import StreamReader
         from rosbags.serde.errors import SerdeError

@@ -100,8 +100,8 @@ def _footer(recorder: RunRecorder) -> str:
 
 # --- tables ---
 def _rows(result: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    """Return a list from a run's result as mappings for the report.
-    An entry that is not a mapping becomes {"what": entry}.
+    """Return the entries under a key of a run's result as a list of mappings, for the report. An entry that
+    is not a mapping becomes {"what": entry}.
     """
     value = result.get(key) or []
     if not isinstance(value, list | tuple):

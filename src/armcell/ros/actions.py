@@ -345,7 +345,9 @@ class ClientGoalHandle:
 
 
 class ActionClient:
-    """Client that sends goals to a ROS action server, on the bus or behind a transport."""
+    """Client that sends goals to a ROS action server, which is on the same bus or is reached through a
+    transport.
+    """
 
     _numbers = itertools.count(1)
 

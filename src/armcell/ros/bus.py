@@ -469,7 +469,9 @@ class Subscription(Attachment):
             return self._queue.popleft() if self._queue else None
 
     def join(self, topic: str, type_name: str) -> None:
-        """Add a topic to this bus subscription. Messages of all its topics arrive in their order."""
+        """Add a topic to this bus subscription. The subscription queues the messages of all its topics in the
+        order in which they arrive.
+        """
         self._joined.append(self._bus.attach(topic, type_name, self._put))
 
     def run(self, callback: Callable[[Any], None]) -> None:

@@ -68,7 +68,8 @@ class MovingObject:
         return self.poses[i].interpolate(self.poses[i + 1], float(share))
 
     def travel(self, t0: float, t1: float) -> float:
-        """Return an upper bound on how far [m] a moving obstacle travels between the times t0 and t1 [s].
+        """Return an upper bound on how far [m] a moving object of the scene travels between the times t0 and
+        t1 [s].
 
         The bound holds for every point of the object.
         """
@@ -76,8 +77,8 @@ class MovingObject:
         return float(b - a)
 
     def swept(self, t0: float, t1: float, step: float = 0.02, most: int = 200) -> CollisionObject:
-        """Return one fixed object that consists of copies of a moving obstacle along its path between the
-        times t0 and t1.
+        """Return one fixed object that consists of copies of a moving object along its path between the times
+        t0 and t1.
 
         The result does not cover the space between the copies, so a motion planned around it must still be
         checked against the moving object at its times.

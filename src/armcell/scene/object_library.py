@@ -211,8 +211,7 @@ def prism(outline: np.ndarray, height: float) -> Mesh:
 
 
 def frustum(low: float, high: float, height: float, edges: int = 32) -> Mesh:
-    """Return a closed mesh of a conical frustum whose radius at z = 0 is `low` [m], for objects of the
-    library.
+    """Return a conical frustum as a closed mesh, for the object library. Its radius at z = 0 is `low` [m].
 
     The radius at `height` [m] is `high` [m].
     """

@@ -30,7 +30,7 @@ OCTREES = (".bt", ".ot", ".npz")
 
 
 def load_obstacle(path: str | Path, radius: float | None = None) -> PointCloud | Octree:
-    """Load an obstacle from a file: a point cloud whose points have a radius [m], or an octomap.
+    """Load an obstacle from a point cloud file, whose points get a radius [m], or from an octomap file.
 
     The suffix determines the format. Octomaps have cells and need no radius.
     """

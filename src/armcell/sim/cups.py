@@ -29,7 +29,9 @@ class CupIndex:
 
 
 def add_cups(spec: mujoco.MjSpec, bodies: dict[str, Any], gripper: SuctionGripper) -> None:
-    """Add the rings and vacuum actuators of a suction gripper to a MuJoCo spec."""
+    """Add the suction cups of a gripper to a MuJoCo spec: a ring of spheres and a vacuum actuator for each
+    cup.
+    """
     for k, cup in enumerate(gripper.cups):
         T, name = cup.T_link_cup, cup_name(gripper.name, k)
         body = bodies[cup.link].add_body(name=name, pos=T.translation, quat=T.quat_wxyz)
@@ -45,7 +47,9 @@ def add_cups(spec: mujoco.MjSpec, bodies: dict[str, Any], gripper: SuctionGrippe
 
 
 def ring_points(cup: SuctionCup, count: int) -> Array:
-    """Return points (count, 2) [m] on the ring of a suction cup, in the cup's frame."""
+    """Return points (count, 2) [m] on the rim of a suction cup, in the cup's frame, for the ring of spheres
+    that models the cup in MuJoCo.
+    """
     angle = 2 * np.pi * (np.arange(count) + 0.5) / count
     return cup.radius * np.column_stack([np.cos(angle), np.sin(angle)])
 

@@ -96,7 +96,7 @@ class GripperDrive:
         self._law[LEAD] = self._force_lead(self.index.max_force)
 
     def command(self, width: float, force_per_finger: float) -> None:
-        """Drive a simulated gripper to a width [m] with limited force per finger.
+        """Command the servo of a simulated gripper to a width [m] with limited force per finger.
 
         At the closed end, the fingers press on the object between them with `force_per_finger` [N].
         """
@@ -193,7 +193,9 @@ def gripper_state(built: BuiltModel, data: mujoco.MjData, suction: Suction, name
 
 
 def _suction_state(built: BuiltModel, suction: Suction, name: str) -> GripperState:
-    """Return the state of a suction gripper. It holds the object on which most of its cups hold."""
+    """Return the state of a suction gripper in the simulation. The object on which the most suction cups seal
+    counts as held.
+    """
     cups, gripper = suction.rows(name), built.grippers[name].gripper
     assert isinstance(gripper, SuctionGripper)
     firm = [k for k in cups if suction.sealed[k] >= 0 and suction.law[k, LEVEL] >= SETTLED]
@@ -234,8 +236,8 @@ class _Grip:
 
 
 class Welder:
-    """Implementation of the grip modes "weld" and "hybrid", which fix held objects to the gripper by weld
-    constraints.
+    """MuJoCo implementation of the grip modes "weld" and "hybrid", which fix held objects to the gripper by
+    weld constraints.
 
     `events` records every weld and its release.
     """
@@ -262,7 +264,7 @@ class Welder:
         self._grips[gripper] = self._weld(data, gripper, _Grip(item, float(data.time)), reason)
 
     def release(self, data: mujoco.MjData, gripper: str) -> None:
-        """Remove the weld constraint between a simulated gripper and its object when the gripper opens."""
+        """Remove MuJoCo's weld constraint between a gripper and its object when the gripper opens."""
         grip = self._grips[gripper]
         if grip.event is not None:
             event = self.events[grip.event]

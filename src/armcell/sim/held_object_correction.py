@@ -136,8 +136,8 @@ def _view(address: int) -> Array:
 
 @cache
 def _offset() -> int:
-    """Return the memory offset between `impratio` and `gravity` in MuJoCo's options,
-    to change `impratio` for held objects.
+    """Return the memory offset, in doubles, of MuJoCo's option `impratio` from `gravity`, the option whose
+    address is available. Changing `impratio` for held objects requires this offset.
 
     The result is 0 if the memory layout is unknown.
 
@@ -153,8 +153,8 @@ def _offset() -> int:
 
 @njit(cache=True)
 def holding(fixed, k):
-    """Return the arrays with which `carry` corrects held objects (`HeldObjectCorrection.arrays`). Their
-    memory addresses are in the table `fixed`.
+    """Return the arrays of `HeldObjectCorrection` for the compiled physics step. The table `fixed` contains
+    their memory addresses.
 
     Row k of the table contains the address of the first array, and the next rows those of the others.
     """
@@ -262,8 +262,8 @@ def _lags(x, R, v, w, point, past, dt, scale):
 
 @njit(cache=True)
 def carry(count, pairs, qpos, arrays):
-    """Correct the creep and drift of held objects after a physics step: choose `impratio`, and move each
-    object by its lag behind the hand.
+    """Correct the creep and drift of held objects after a physics step: set `impratio`, and shift each held
+    object by the distance that it lags behind the hand.
 
     Args:
         count: number of contacts.

@@ -108,8 +108,8 @@ def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings, scale: float 
 
 
 def _massless_carriers(model: RobotModel) -> set[str]:
-    """Return the links of a simulated robot that are on movable joints and have no mass, even together with
-    links fixed to them.
+    """Return the massless moving links of a simulated robot: child links of movable joints. The links fixed
+    to them have no mass either.
 
     MuJoCo rejects moving bodies without mass.
     """
@@ -226,7 +226,9 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
 
 
 def _hand_joints(model: RobotModel, gripper: Gripper) -> list[str]:
-    """Return the names of the movable joints of a gripper's hand, also of those in its linkage."""
+    """Return the names of the movable joints of a robot's gripper, including the joints of the gripper's
+    linkage.
+    """
     arm = model.groups.get(gripper.arm_group)
     other = set(arm.joint_names) if arm is not None else set()
     links = {*gripper.hand_links, *gripper.finger_links}
@@ -234,7 +236,9 @@ def _hand_joints(model: RobotModel, gripper: Gripper) -> list[str]:
 
 
 def _coupling(model: RobotModel, name: str, driven: str) -> tuple[float, float]:
-    """Return multiplier and offset of a hand's joint relative to the driven joint, 0 if it is independent."""
+    """Return the multiplier and the offset with which a joint of the robot's hand follows the driven joint.
+    Both are 0 for an independent joint.
+    """
     mimic = model.joints[name].mimic
     if mimic is None:
         return (1.0, 0.0) if name == driven else (0.0, 0.0)
@@ -243,8 +247,8 @@ def _coupling(model: RobotModel, name: str, driven: str) -> tuple[float, float]:
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """Return the driven finger joint of a robot's gripper and its mimic joints without an offset,
-    with their weights for MuJoCo.
+    """Return the finger joints of a robot's gripper with their weights in MuJoCo: the driven joint, and the
+    joints that mimic it without an offset.
 
     The weighted sum of their positions is the mean finger position. Equalities move the other joints.
     """

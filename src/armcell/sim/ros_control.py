@@ -233,7 +233,9 @@ def controller_gains(data: Mapping, file: Path, model: RobotModel) -> tuple[Gain
 
 
 def _nested(data: Any) -> Any:
-    """Expand keys that are paths, such as /gazebo_ros_control/pid_gains/JOINT, in a controller file."""
+    """Expand keys that are paths, such as /gazebo_ros_control/pid_gains/JOINT, in a ros_control controller
+    file.
+    """
     if not isinstance(data, Mapping):
         return data
     made: dict[Any, Any] = {}

@@ -78,8 +78,8 @@ class SlidingFriction:
                 self._put(k, True)
 
     def _slips(self, data: mujoco.MjData) -> tuple[NDArray[np.int64], Array]:
-        """Return the pairs of bodies (n, 2) and slip speeds (n,) [m/s] of all
-        contacts that transmit a force in the physics simulation.
+        """Return the pairs of bodies (n, 2) and slip speeds (n,) [m/s] of all contacts that transmit a force,
+        to select static or dynamic friction.
         """
         contact = data.contact
         loaded = contact.efc_address >= 0

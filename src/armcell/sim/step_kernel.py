@@ -176,8 +176,8 @@ def take_steps(
     model, data, begin, end, fixed, pairs, readable, unwanted, period, targets, controls, columns, limit,
     worst,
 ):  # fmt: skip
-    """Take compiled physics steps.
-    Stop after the last step, at an unwanted contact, or when a joint is too far off its target.
+    """Run physics steps in compiled code. Stop after the last step, at an unwanted contact, or when a joint
+    deviates too far from its target.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
@@ -280,8 +280,8 @@ def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
     cache=True,
 )  # fmt: skip
 def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first_object):
-    """Return the sum of the finger forces [N] along an axis and the
-    object between the fingers, in compiled code.
+    """Return two results in compiled code: the total finger force [N] along an axis, and the index of the
+    object between the fingers.
 
     The object is the one that all fingers press, or -1.
 

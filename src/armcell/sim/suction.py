@@ -75,7 +75,9 @@ class Suction:
         return [k for k, cup in enumerate(self._cups) if cup.gripper == gripper]
 
     def switch(self, gripper: str, on: bool, data: mujoco.MjData) -> None:
-        """Turn the vacuum of a gripper on or off. Off, the cups are at ambient pressure at once."""
+        """Switch a gripper's vacuum on or off. Switching it off brings the suction cups to ambient pressure
+        immediately.
+        """
         for k in self.rows(gripper):
             self.law[k, ON] = float(on)
             if not on:

@@ -91,8 +91,8 @@ def _need_some(name: str, stages: tuple[Stage, ...]) -> None:
 
 
 def _either(stages: tuple[Stage, ...], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Check the interfaces of the alternative stages in a container, and collect their problems.
-    After the container, only the names that are available after every alternative are available.
+    """Check the interfaces of a container's alternative stages, and collect their problems. Later stages may
+    use only the data that are available after every alternative.
     """
     results = [single(stage, have, scene) for stage in stages]
     return InterfaceCheck(

@@ -23,7 +23,8 @@ from armcell.tasks.stage_statistics import reason_in_short
 
 
 class SharedScene:
-    """World of a task's context: the planning scene without measurements. Several threads share it.
+    """Planning scene of a task, without the measured joint positions and object poses. Several threads share
+    this scene.
 
     Attributes:
         scene: may be read at any time. It is replaced while `editing` is held, never mutated.
@@ -41,8 +42,8 @@ class SharedScene:
 def without_measured(
     base: PlanningScene, now: PlanningScene, after: PlanningScene, held: Iterable[str]
 ) -> PlanningScene:
-    """Return a changed scene for a task's context,
-    in which all measured values are reset to those of the base scene.
+    """Return the scene `after`, which a running task has changed, with its measured values reset to those of
+    the scene `base`.
 
     Args:
         base: the scene before the change.
@@ -251,7 +252,9 @@ class TaskContext:
 
     @property
     def follows_clock(self) -> bool:
-        """Return whether motions follow their timing exactly in a task's context. Real arms may be slower."""
+        """Return whether the robot of a task executes motions exactly on time. Simulated robots do; real arms
+        may be slower.
+        """
         return self.driver.is_simulated
 
     def slip_of(self, held: HeldObject) -> float:
@@ -279,11 +282,14 @@ class TaskContext:
         """Record in a task's context that the arm has come to rest after a motion."""
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
-        """Reserve a zone in a task's context for one arm at a time. A single arm gets the zone at once."""
+        """Return a context manager that reserves a zone for the arm while a task works there. If the task has
+        only one arm, the context manager does nothing.
+        """
         return nullcontext()
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the next item, in a task's context, whose zone no other arm uses.
+        """Return the item that a task should handle next: the first item whose destination zone no other arm
+        uses.
 
         For a single arm, this is the first item.
         """

@@ -132,8 +132,8 @@ def sample_object_variants(
 
 
 def distinct_grasps(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
-    """Select the best grasps that differ clearly from each other, to prove them in the physics simulation. If
-    there are too few, add the next best grasps.
+    """Select the best grasps that differ clearly from each other, as candidates for trials in the physics
+    simulation. If there are too few, add the next best grasps.
     """
     chosen: list[Grasp] = []
     rest: list[Grasp] = []

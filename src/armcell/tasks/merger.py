@@ -102,8 +102,8 @@ class Merger:
     def _unproven(
         self, scene: PlanningScene, motions: Sequence[Motion], grips: Sequence[CommandGripper]
     ) -> str:
-        """Check whether motions of arms and grippers are certified to run at the same time.
-        Return the reason if they are not, else an empty text.
+        """Check whether the motions that a merger combines are certified to run at the same time. Return the
+        reason if they are not, else an empty text.
         """
         if len(motions) > 1:
             trajectories = [m.trajectory for m in motions]
@@ -125,8 +125,8 @@ class Merger:
 def _choices(
     solution: PartialSolution, planning: SearchState, stages: Sequence[Stage]
 ) -> Iterator[tuple[PartialSolution, ...]]:
-    """Yield every combination of proposals of a merger's stages, one per stage.
-    All proposals start from the same solution.
+    """Yield every combination of the proposals of the stages in a merger, with one proposal per stage. Every
+    stage starts from the partial solution `solution`.
     """
     if not stages:
         yield ()

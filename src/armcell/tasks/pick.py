@@ -98,7 +98,7 @@ class Pick(ABC):
 
     @abstractmethod
     def perform(self, solution: PartialSolution) -> Outcome:
-        """Perform a planned attempt of a pick, and verify that the hand holds the object."""
+        """Execute the planned motions of a pick, and verify that the hand holds the object."""
 
     def keeps_object(self) -> bool:
         """Return whether the hand keeps the object after a scene change has stopped the pick.
@@ -226,7 +226,8 @@ def pick_stages(
     scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings, excluded: tuple[str, ...] = (),
     ahead: Sequence[Stage] = (), among: tuple[str, ...] = (),
 ) -> list[Stage]:  # fmt: skip
-    """Return the stages of the pick recipe, which start in a given (for example predicted) scene.
+    """Return the stages of the pick recipe. They start from a given scene, which may be a measured or a
+    predicted scene.
 
     Args:
         among: names of the allowed grasps; empty for all.

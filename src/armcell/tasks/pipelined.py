@@ -56,7 +56,9 @@ def picking(item: str, gripper: Gripper) -> PipelinedTask:
 def placing(
     item: str, on: str, gripper: Gripper, at: tuple[float, float] | None = None, up: Vector | None = None
 ) -> PipelinedTask:
-    """Create a pipelined task that places an object, with one attempt."""
+    """Create a task that places an object and can be planned while another task runs (`PipelinedTask`). The
+    task makes only one attempt.
+    """
     return PipelinedTask(
         f"place {item} on {on}", lambda ctx, _: place_stages(item, on, gripper, ctx.settings, at, up)
     )
@@ -111,7 +113,7 @@ def _with_evidence(outcome: Outcome, done: list[str], again: dict[str, str]) -> 
 
 
 class _BackgroundPlan:
-    """Plan of a pipelined task, which a background thread makes while another task runs."""
+    """Plan that a background thread computes for a pipelined task while another task is running."""
 
     def __init__(self, ctx: TaskContext, task_spec: PipelinedTask, scene: PlanningScene):
         self.scene = scene

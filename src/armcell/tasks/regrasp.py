@@ -37,7 +37,9 @@ STEP = 0.10  # [m] grid around the present position
 
 @dataclass(frozen=True, eq=False)
 class RestingPose:
-    """Resting pose of an object on a support, used for regrasping. `on` is empty for the present pose."""
+    """Resting pose of an object on a support, used for regrasping. The support's name `on` is empty for the
+    object's present pose.
+    """
 
     on: str
     placement: Placement
@@ -159,7 +161,9 @@ def _touched(scene: PlanningScene, item: str, pose: RestingPose) -> str:
 
 
 def _sides(scene: PlanningScene, goal: PlacementGoal) -> dict[Vector, list[RestingPose]]:
-    """Return the collision-free resting poses of a regrasped object by upward direction, nearest first."""
+    """Return the collision-free resting poses for regrasping an object, grouped by upward direction in the
+    object's frame. Each group is sorted by distance from the object's present position.
+    """
     name = goal.object
     item = scene.object(name)
     now = item.T_world_object.translation
@@ -242,8 +246,8 @@ class _Hands:
         return any(self.can(grasp, goal) for grasp in self.grasps(pose) for goal in goals)
 
     def shared(self, here: RestingPose, there: Sequence[RestingPose]) -> tuple[str, ...]:
-        """Return the names of grasps that are feasible both at one resting
-        pose and at one of the next poses of a regrasp.
+        """Return the names of grasps that connect resting poses in regrasp planning: each grasp is feasible
+        at the pose `here` and at one or more poses in `there`.
         """
         found: list[str] = []
         for grasp in self.grasps(here):
@@ -301,8 +305,8 @@ class _Hands:
         self.rejections.setdefault(side, Rejections()).add("", candidate, reason)
 
     def why(self, side: Vector, most: int = 2) -> str:
-        """Return the most frequent reasons why grasps for regrasping fail while
-        the object rests on a given side, with their counts.
+        """Return why the regrasp planner rejected grasps of an object that rests on a given side: the most
+        frequent reasons, with their counts.
 
         Also returns the first reason in full.
         """

@@ -140,8 +140,8 @@ class SearchState:
 
 
 class Stage(Protocol):
-    """Interface of the stages in a task search.
-    A stage extends a partial solution by alternatives, best first.
+    """Interface of a stage in a task search. A stage yields possible extensions of a partial solution, best
+    first.
 
     A stage rejects unusable candidates with a reason. `requires`, `provides` and `consumes` (optional tuples
     of names) declare which data of the solution it reads, adds and removes; `interfaces.py` checks them
@@ -210,8 +210,8 @@ Branch = Callable[[SearchState], Iterator[PartialSolution]]
 
 
 def in_order(branches: Iterable[Branch], planning: SearchState) -> Iterator[PartialSolution]:
-    """Yield the solutions of the search branches, one branch after the other,
-    until it is useless to continue planning the task.
+    """Yield the solutions of the search branches, one branch after the other, until the search for the task's
+    plan should stop.
 
     If `planning` has threads, they search the next branches in parallel.
     """

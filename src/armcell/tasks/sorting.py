@@ -144,7 +144,9 @@ def _todo(
 
 
 def _lies_on(scene: PlanningScene, thing: DetectedObject, place_on: str) -> bool:
-    """Return whether an object already lies on its target, because its detected center is above it."""
+    """Return whether an object to be sorted already lies on its target: its detected center is above the
+    target's support surface.
+    """
     frame, size_x, size_y = support_surface(scene.object(place_on))
     middle = thing.points.mean(axis=0) if thing.T_world_object is None else thing.T_world_object.translation
     x, y, z = frame.inverse().apply(middle)

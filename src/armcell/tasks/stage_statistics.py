@@ -32,7 +32,8 @@ class StageStatistics:
         self.near_miss = self.near_miss or (candidate, reason)
 
     def add(self, other: StageStatistics) -> None:
-        """Add the statistics `other` that a thread of the search has collected for the same stage.
+        """Merge the statistics `other`, which a search thread has collected for this stage, into these
+        statistics.
 
         The candidates in `other` come later in the search. An existing near miss is therefore kept.
         """

@@ -17,8 +17,8 @@ _NONE = np.zeros((0, 0))
 
 
 def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
-    """Return the joint positions (k, n) of a trajectory at times (k,) [s] on its own clock.
-    Chords connect such positions.
+    """Return the joint positions (k, n) of a trajectory at trajectory times (k,) [s]. Chords (straight
+    pieces) between these positions approximate the trajectory.
 
     Before the first point and after the last, the joints hold their positions, as in `sample`.
     """
@@ -36,8 +36,8 @@ def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, in
 
 
 def acceleration_bounds(trajectory: JointTrajectory) -> Array:
-    """Return an upper bound (n,) on the acceleration of each joint in a trajectory.
-    The error of chords follows from this bound.
+    """Return an upper bound (n,) on each joint's acceleration in a trajectory. This bound limits the error
+    when chords (straight pieces) approximate the trajectory.
 
     A polynomial is bounded by its Bernstein coefficients; the bound uses those of the second derivative.
     Straight pieces have the bound 0.

@@ -17,8 +17,8 @@ GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with thre
 
 @njit(cache=True)
 def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
-    """Sample a motion at given times: return the integral of the position, the position and the velocity (m,
-    n), from which moving averages are computed.
+    """Sample a motion at given times for the computation of moving averages. Return three arrays (m, n): the
+    integrated position, the position and the velocity.
 
     The times increase. Positions are relative to the first point, and the integral begins at time 0. The
     motion is at rest before its start and after its end.

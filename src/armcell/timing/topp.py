@@ -47,8 +47,8 @@ def grid(kind, length, turn, line_step):
 
 @njit(cache=True, fastmath=FAST)
 def _largest_x(center, half, slope, i, ds, reach, cap):
-    """Return the largest squared path speed x in [0, cap] that the constraints of interval i in a
-    time-optimal parameterization allow.
+    """Return the largest squared path speed x in [0, cap] that satisfies the constraints of interval i, for
+    the time-optimal parameterization.
 
     x is allowed if some u has |u - center + slope x| <= half in every row of interval i and
     0 <= x + 2 ds u <= reach. Newton's method on a convex piecewise linear function takes a few steps.
@@ -75,8 +75,8 @@ def _largest_x(center, half, slope, i, ds, reach, cap):
 
 @njit(cache=True)
 def _row(alpha, beta, constant, limit, i, r, center, half, slope, cap):
-    """Store a constraint |alpha u + beta x + constant| <= limit of the time-optimal parameterization as row r
-    of an interval.
+    """Store the constraint |alpha u + beta x + constant| <= limit in the tables of the time-optimal
+    parameterization, at interval i and row r.
 
     Return the upper bound that the constraint sets on x, at most `cap`.
     """

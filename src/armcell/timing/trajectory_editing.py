@@ -157,8 +157,7 @@ def trajectory_section(
 
 
 def _point(trajectory: JointTrajectory, t: float) -> tuple[Array, Array, Array]:
-    """Return the position, velocity and acceleration (n,) of a trajectory at a time [s], as needed for
-    editing the trajectory.
+    """Return the position, velocity and acceleration (n,) at a time [s] at which a trajectory is cut.
 
     Unlike `JointTrajectory.sample`, the function does not assume rest at the trajectory's ends.
     """

@@ -33,8 +33,8 @@ class LoadEfforts:
 
 
 def load_efforts(model: RobotModel, trajectory: JointTrajectory, times: Array) -> LoadEfforts:
-    """Return the joint efforts that load and acceleration cause in a trajectory at times (k,) [s], from which
-    the load on the flange is estimated.
+    """Return the joint efforts along a trajectory at times (k,) [s] for estimating the flange load: the
+    effort per kilogram of load, and the effort that accelerates the arm itself.
 
     The load is a point mass at the origin of each arm's last link. `swing` excludes held objects.
     """

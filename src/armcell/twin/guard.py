@@ -141,8 +141,8 @@ class TwinGuard:
 
 
 class MonitoredExecution:
-    """Handle to a running motion.
-    Through this handle, the twin guard compares each arm with its simulated twin.
+    """Execution handle that monitors a running motion. It compares each real arm with its simulated twin, and
+    slows or stops the arms if one deviates.
 
     All calls are forwarded to the handle of the running motion.
     """
@@ -271,8 +271,8 @@ class MonitoredExecution:
         self._guard.note(cause.name, "twin slowed", f"{text} at {clock:.2f} s: slowed to {SLOW:.0%}")
 
     def _as_before(self) -> None:
-        """Restore the speed sliders to the values that they had before the twin guard slowed the arms
-        down.
+        """Restore the arms' speed sliders to their values before the guard slowed the arms because one
+        deviated from its simulated twin.
         """
         for arm in self._arms:
             if arm.name in self._before:

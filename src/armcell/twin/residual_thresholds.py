@@ -86,8 +86,8 @@ class ArmResidualThresholds:
     samples: int
 
     def current_of(self, effort: Array, velocity: Array) -> Array:
-        """Predict the motor currents (n,) [A] of an arm from simulated joint torques and velocities, with the
-        current model fitted for the twin.
+        """Predict the motor currents (n,) [A] of a real arm from the joint torques and velocities of its
+        simulated twin, with the fitted motor model.
 
         Args:
             effort: simulated joint torques (n,) [Nm].
@@ -144,8 +144,8 @@ class ArmResidualThresholds:
         return found
 
     def _of_currents(self, looks: Sequence[Array], doubt: Array) -> dict[str, Array]:
-        """Return the residuals of motor current and load relative to the twin's thresholds (bands), if the
-        samples are sufficient.
+        """Return the residuals of motor current and load between a real arm and its simulated twin, as
+        multiples of the thresholds (bands). Residuals without enough samples are omitted.
 
         Args:
             looks: recent samples (2, n) of current residual [A] and current per kilogram [A/kg].
@@ -283,8 +283,8 @@ def fit_thresholds(
 
 
 def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
-    """Fit the linear motor current model of each joint by least squares; a twin's residual thresholds (bands)
-    rely on this model.
+    """Fit a linear motor current model for each joint by least squares. The residual thresholds between a
+    real arm and its simulated twin build on this model.
 
     Args:
         current, effort, speed: samples (k, n) in [A], [Nm], [rad/s].

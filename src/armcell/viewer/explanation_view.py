@@ -39,8 +39,8 @@ def show_explanation(viewer: CellViewer, scene: PlanningScene, explanation: Expl
 
 
 def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanation: Explanation) -> list[Any]:
-    """Draw why planning failed, without text: the colliding bodies, the contact points and the nearest valid
-    state.
+    """Draw the explanation of a planning failure as 3D shapes, without text: the colliding bodies, the
+    contact points and the nearest valid state.
     """
     api = server.scene
     handles: list[Any] = []

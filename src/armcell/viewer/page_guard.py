@@ -86,7 +86,7 @@ class PageGuard:
         self._open = False
 
     def open(self) -> None:
-        """Let the guard of the web page start accepting requests.
+        """Start to accept valid requests to the guarded web page.
 
         Before this call, requests with the token get a "starting" page.
         """

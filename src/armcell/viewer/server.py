@@ -45,7 +45,9 @@ class PageServer:
         return self.endpoints[0].port
 
     def open(self) -> None:
-        """Let the viser server of the page answer browsers. Call this method once the page is built."""
+        """Start to serve the page to browsers through the viser server. Call this method after the page is
+        built.
+        """
         self.guard.open()
 
     def stop(self) -> None:
@@ -122,8 +124,8 @@ def _free_port(host: str, port: int) -> int:
 # --- patches of viser, which has no hooks for the guard and for its console output ---
 @contextlib.contextmanager
 def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
-    """Protect every server that viser starts during a `with` block:
-    the guard of the page checks each request first.
+    """Protect every server that viser starts during a `with` block: a `PageGuard` checks each request before
+    viser handles it.
 
     Yields:
         List that receives the `websockets` server object.

@@ -163,8 +163,8 @@ def random_positions(scene: PlanningScene, group: str, rng: np.random.Generator)
 
 
 def keep_upright(scene: PlanningScene, group: str) -> Constraints:
-    """Return a path constraint that keeps the tip upright during the session's motion.
-    The tip may still rotate about the vertical.
+    """Return a path constraint that keeps the tip upright during the motion to the goal of a planning
+    session. The tip may still rotate about the vertical.
 
     The tip axis that is nearest to the vertical at the start may tilt by at most `TILT`. Tolerances are
     rotation vectors in the axes of the target orientation; the component about the vertical axis is free.

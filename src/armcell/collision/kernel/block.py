@@ -142,7 +142,8 @@ def lanes_of(k):
 
 @njit(cache=True, nogil=True)
 def touches(handle, mode, q):
-    """Return whether the SIMD kernel reports a single configuration q (dof,) as not collision-free.
+    """Return whether a block check of the SIMD kernel reports a single configuration q (dof,) as not
+    collision-free.
 
     Python code can call this function. The function copies q to all SIMD lanes before the check.
     """

@@ -48,12 +48,16 @@ class Body:
 
     @cached_property
     def _centers(self) -> F64:
-        """Return the centers (1 + g + s, 3) of the bounding sphere, the groups and the spheres."""
+        """Return the centers (1 + g + s, 3) of a kernel body's spheres: its bounding sphere, its g sphere
+        groups and its s small spheres.
+        """
         return np.concatenate([self.around[None, :3], self.groups[:, :3], self.spheres[:, :3]])
 
     @cached_property
     def _radii(self) -> F32:
-        """Return the outer and inner radii (1 + g + s, 2) of these balls, rounded to the safe side."""
+        """Return the outer and inner radii (1 + g + s, 2) of a kernel body's bounding sphere, g sphere groups
+        and s small spheres, rounded to the safe side.
+        """
         one, g = 1, 1 + len(self.groups)
         radii = np.zeros((g + len(self.spheres), 2), np.float32)
         radii[0, 0], radii[one:g, 0], radii[g:] = self.around[3], self.groups[:, 3], self.spheres[:, 3:]
@@ -63,8 +67,7 @@ class Body:
         return radii
 
     def placed(self, T: F64) -> PlacedBody:
-        """Transform the kernel's sphere cover and convex pieces of a
-        robot body to a frame of the planning group.
+        """Transform a kernel body (sphere cover and convex pieces) to a frame of the planning group.
 
         T (4, 4) is the pose of the body in this frame.
         """
@@ -87,7 +90,8 @@ class PlacedBody:
 
 
 def link_body(link: Link, scale: float, overshoot: float) -> Body:
-    """Return the kernel's data of a link whose collision shapes are enlarged by the factor `scale`.
+    """Return the kernel body of a robot link (sphere cover and convex pieces), with the link's collision
+    shapes enlarged by the factor `scale`.
 
     Args:
         overshoot: largest distance [m] by which a sphere may extend beyond the shape.
@@ -102,8 +106,8 @@ def held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> Body:
 
 
 def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> Body:
-    """Return the kernel's sphere cover and convex pieces of a robot body from its shapes,
-    their poses and the allowed overshoots [m].
+    """Return a kernel body (sphere cover and convex pieces) for shapes of the robot with given poses and
+    allowed overshoots [m].
 
     The result is cached on disk, so that later starts need no mesh library.
     """

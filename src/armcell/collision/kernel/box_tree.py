@@ -56,8 +56,8 @@ def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
 
 
 def _blocks(rows: F64, empty: float) -> F64:
-    """Arrange the rows (3, n) of a bounding-box tree in blocks of L
-    boxes (3, b, L). `empty` fills up the last block.
+    """Arrange the coordinates (3, n) of n bounding boxes of a tree in blocks of L boxes, as (3, b, L). The
+    value `empty` fills up the last block.
     """
     blocks = np.full((3, max(-(-rows.shape[1] // L), 1) * L), empty)
     blocks[:, : rows.shape[1]] = rows
@@ -88,7 +88,9 @@ def z_order(low: F64, high: F64) -> NDArray[np.int64]:
 
 
 def _spread() -> NDArray[np.int64]:
-    """Insert two zero bits after each bit of integers from 0 to 1023. Used for Z-order codes."""
+    """Return the integers from 0 to 1023 with two zero bits inserted after each bit, to sort the boxes of a
+    tree in Z-order.
+    """
     numbers = np.arange(1024)
     return sum(((numbers >> bit) & 1) << 3 * bit for bit in range(10))  # pyright: ignore
 

@@ -16,8 +16,8 @@ from armcell.collision.kernel.simd import at_address, pointer
 
 @njit(cache=True, nogil=True)
 def first_below_clearance(handle, points, room, distance):
-    """Return the first position along a motion (k, dof) at which the clearance between two bodies of the
-    robot cannot be proven.
+    """Return the first position along a motion (k, dof) at which the clearance proof for two bodies of the
+    robot fails.
 
     Args:
         room: (dof,) largest deviation of each joint from the edges [rad or m].

@@ -79,7 +79,8 @@ def _cloud_of(I, o):
 
 @inner_njit(forceinline=True)
 def _side(F, at, u, v, x, y, z):
-    """Return the vectors from the nearest points on one edge of 16 triangles to a given point.
+    """Return the vector from the nearest point on one edge of each of 16 triangles to a given point, to test
+    a cloud of triangles.
 
     The triangles are at F[at:]; their edges lead from corner u to corner v. Also returns on which side of the
     edge the point is, positive on the inner side.
@@ -256,8 +257,8 @@ def _keep_ball(I, w, state, x, y, z, reach):
 
 @inner_njit
 def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
-    """Descend the bounding-box tree of a cloud of spheres, cubes or triangles with one ball per SIMD lane.
-    The search visits only the boxes that a ball overlaps.
+    """Test one ball per SIMD lane against a cloud of spheres, cubes or triangles. The search visits only
+    boxes of the cloud's tree that a ball overlaps.
 
     The balls have radius `reach` around (x, y, z), in shape o's frame.
 
@@ -306,8 +307,8 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
 
 @inner_njit(forceinline=True)
 def _grown(I, w, i, radius, more, mode):
-    """Return the radius of a ball for the test against a cloud,
-    enlarged by the body's margin and by its motion in the interval.
+    """Enlarge the radius of a robot body's ball for a test against a cloud: by a margin and, to certify a
+    motion, by the distance that the ball moves.
 
     The ball is around center i.
     """
@@ -407,8 +408,8 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
 
 @inner_njit(forceinline=True)
 def _turns(F, at, u, v, x, y):
-    """Return how an edge of each of 16 triangles passes a point when seen along z:
-    1 = counterclockwise, -1 = clockwise, 0 = not at all.
+    """Return how one edge of each of 16 triangles crosses the ray in +x from a point, seen along z: 1 =
+    counterclockwise, -1 = clockwise, 0 = no crossing.
 
     Edges lead from corner u to corner v. 1 is counter-clockwise. Each edge is computed from its lower end, so
     that the two triangles at an edge agree to the last bit.

@@ -124,7 +124,9 @@ def join_pieces(robot: dict[str, NDArray], world: dict[str, NDArray]) -> dict[st
 
 
 def convex_parts(shape: Shape, split: Splitter = convex_pieces) -> tuple[Shape, ...]:
-    """Return convex shapes whose union contains a shape, to represent the shape in exact tests."""
+    """Return convex pieces (shapes) whose union contains a shape, to represent the shape in exact tests of
+    the kernel.
+    """
     return split(shape) if isinstance(shape, Mesh) and not is_convex(shape) else (shape,)
 
 

@@ -83,8 +83,8 @@ def rate_at(I, j):
 
 @inner_njit(forceinline=True)
 def interval_half_width_at(I):
-    """Return the index in the workspace array `w` of the interval half-widths, one per SIMD lane.
-    In a motion proof, each lane certifies an interval of the edge around its configuration.
+    """Return the index in the workspace array `w` at which each SIMD lane stores half the width of the motion
+    interval that it certifies.
 
     The joints' summed rotation in the interval is stored next.
     """
@@ -93,8 +93,8 @@ def interval_half_width_at(I):
 
 @inner_njit(forceinline=True)
 def required_distance_at(I):
-    """Return the index in the workspace array `w` of the 8 vectors in which the kernel stores a body pair's
-    margins for exact tests.
+    """Return the index in the workspace array `w` at which the kernel stores the required distance [m] and
+    relative velocity of two bodies for exact tests (8 vectors).
     """
     return (2 * I[DOF] + 2) * L
 
@@ -134,7 +134,8 @@ def velocity_at(I, i):
 
 @inner_njit(forceinline=True)
 def body_margin_at(I, body):
-    """Return the index in the workspace array `w` of the margin by which a motion proof enlarges a body.
+    """Return the index in the workspace array `w` of a body's margin, by which the body is enlarged when the
+    kernel certifies a motion.
 
     The margin covers deviations and changes of velocity, but not the motion at constant speed
     (see `motion_margin`).
@@ -144,8 +145,8 @@ def body_margin_at(I, body):
 
 @inner_njit(forceinline=True)
 def local_at(I):
-    """Return the index in the workspace array `w` of the sphere centers and velocities of one sphere group,
-    given in the frame of a cloud.
+    """Return the index in the workspace array `w` at which the kernel stores a sphere group's centers and
+    velocities, transformed to a cloud's frame.
 
     Each sphere has 6 vectors.
     """
@@ -155,7 +156,7 @@ def local_at(I):
 @inner_njit(forceinline=True)
 def ball_at(I):
     """Return the index in the workspace array `w` at which the kernel stores the bounding ball of a sphere
-    group. The ball is in the frame of a cloud.
+    group, in the frame of the cloud that is tested.
     """
     return local_at(I) + 6 * GROUP * L
 
@@ -258,8 +259,8 @@ def twist_block(I, F, w):
 
 @inner_njit(forceinline=True)
 def center(I, F, w, state, i, f, sphere, mode):
-    """Return the index in the workspace array `w` at which the kernel stores the center of a sphere.
-    The first call in a check of 16 configurations computes the center.
+    """Transform a sphere's center by its link frame in 16 configurations, unless this check has already done
+    so. Return the center's index in the workspace array `w`.
 
     The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.
     """
@@ -292,8 +293,8 @@ def center(I, F, w, state, i, f, sphere, mode):
 
 @inner_njit
 def motion_margin(I, F, w, reach, slack):
-    """Return the margin by which a motion proof enlarges the spheres of a body,
-    to allow for deviations and changes of velocity.
+    """Return the margin that is added to a body's spheres when the kernel certifies a motion. It covers path
+    deviations and changes of velocity.
 
     A proof needs this margin in addition to half width times speed. The accelerations of a body's points are
     at most the joints' summed rotation times `reach` (index in F: meters per unit of each joint), doubled for

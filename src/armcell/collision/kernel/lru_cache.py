@@ -11,7 +11,9 @@ Value = TypeVar("Value")
 
 
 class LruCache(Generic[Value]):
-    """Thread-safe LRU cache that keeps at most `most` values: those that were used last."""
+    """Thread-safe in-memory cache (LRU). It keeps at most `most` values and discards the least recently used
+    value first.
+    """
 
     def __init__(self, most: int):
         self.most = most

@@ -25,7 +25,8 @@ JOINTS = 2  # between the base and the other link; links with more joints betwee
 
 
 def narrow_gaps(model: RobotModel) -> frozenset[str]:
-    """Return the base links to which another link is often so close that only a finer cover leaves a gap.
+    """Return the base links that need a finer sphere cover, because their gap to another link is often too
+    narrow for the normal cover.
 
     The distances are cached on disk.
     """
@@ -75,8 +76,8 @@ def _content(link: Link) -> tuple[np.ndarray, ...]:
 
 
 def _needs_fine_cover(base: Link, T_base: np.ndarray, other: Link, T_other: np.ndarray) -> bool:
-    """Return whether the gap between two links is too narrow for two usual covers, but wide enough for a fine
-    and a usual one.
+    """Return whether the gap between a base and another link is too narrow for normal sphere covers of both,
+    but wide enough with a finer cover of the base.
     """
     arguments = []
     for link, T in ((base, T_base), (other, T_other)):

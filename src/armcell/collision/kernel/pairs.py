@@ -69,7 +69,7 @@ def _near(I, w, state, i, j, radii, more, mode):
 
 @inner_njit(forceinline=True)
 def _far(I, F, w, state, i, j, radii):
-    """Return whether a cheap test shows in all SIMD lanes that two bodies do not touch.
+    """Return whether a cheap test of a body pair shows in all SIMD lanes that the two bodies do not touch.
 
     The test ignores the directions of motion.
     """

@@ -77,7 +77,8 @@ _moving: LruCache[NDArray[np.bool_]] = LruCache(32)
 
 
 def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
-    """Return the kernel data of the robot, cached by robot and by the positions of all other joints.
+    """Return the kernel data of the robot for a group of joints. The data is cached by robot and by the
+    positions of all joints outside the group.
 
     Positions of the group's joints do not matter.
     """
@@ -301,8 +302,8 @@ class _Builder:
         return near_groups.cached_near_groups(*arguments)
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
-        """Return upper bounds (groups, columns) on how far each sphere group
-        in the kernel moves when a joint moves by one unit.
+        """Return upper bounds (groups, columns) on how far each sphere group of a robot body moves when the
+        joint of a column moves by one unit.
 
         The bounds are like those of `_reach`.
 
@@ -394,7 +395,8 @@ def _turned_to_z(x: float, y: float, z: float) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class _Meeting:
-    """Sphere groups of two robot bodies in the kernel that can touch each other.
+    """Index lists that state which sphere groups of one robot body can touch which sphere groups of another
+    robot body.
 
     Attributes:
         first: (n,) groups of the first body that can touch a group of the second body.
@@ -408,7 +410,9 @@ class _Meeting:
 
     @staticmethod
     def of(meets: NDArray[np.bool_]) -> _Meeting:
-        """Convert a mask (g, h) of the groups that can touch each other."""
+        """Convert a mask (g, h) to index lists. Mask entry [i, j] is True if sphere group i of one robot body
+        can touch sphere group j of another.
+        """
         counts = meets.sum(axis=1)
         first = counts.nonzero()[0]
         return _Meeting(*(a.astype(np.int32) for a in (first, counts[first], meets.nonzero()[1])))

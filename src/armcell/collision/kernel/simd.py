@@ -83,8 +83,8 @@ def at_address(typingctx, dtype, address):
 
 @intrinsic
 def call(typingctx, function, a, b, c):
-    """Call a compiled kernel function by its memory address, as a Numba intrinsic. It takes three int64 and
-    returns one.
+    """Call a compiled function at a memory address, as a Numba intrinsic for SIMD kernels. The function takes
+    three int64 and returns one.
     """
 
     def codegen(context, builder, signature, args):

@@ -50,7 +50,8 @@ def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
 
 
 def small_triangles(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
-    """Split the surface of a solid into triangles (m, 3, 3) whose edges are at most `edge` [m] long.
+    """Split the surface of a solid for the collision kernel into triangles (m, 3, 3) whose edges are at most
+    `edge` [m] long.
 
     The algorithm halves the longest edges. A sphere is convex, so it contains a triangle if it contains its
     vertices: covers need no margin between sample points.
@@ -70,7 +71,8 @@ def small_triangles(vertices: Array, faces: NDArray[np.int64], edge: float) -> A
 
 
 def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
-    """Return the outer surface of a solid's mesh as small triangles (m, 3, 3).
+    """Return the outer surface of a solid's mesh as small triangles (m, 3, 3), which the kernel covers with
+    spheres.
 
     Parts of the surface that are inside the same mesh are left out and need no cover: robot meshes often
     consist of several closed solids that intersect.
@@ -108,7 +110,9 @@ def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
 
 
 def depths(points: Array, skin: Array) -> Array:
-    """Return the distances (m,) [m] from interior points of a solid to its surface triangles (k, 3, 3)."""
+    """Return the depths (m,) [m] of interior points of a solid below the solid's surface triangles (k, 3,
+    3).
+    """
     corners, index = np.unique(np.round(skin.reshape(-1, 3), 9), axis=0, return_inverse=True)
     model = triangle_model(corners, index.reshape(-1, 3).astype(np.int32))
     point, radius = coal.Sphere(1e-6), 1e-6

@@ -49,8 +49,8 @@ class World:
 
     @cached_property
     def starts(self) -> I64:
-        """Return the first table row of each object in the kernel's world arrays, as an array (objects + 1,
-        len(ROWS)).
+        """Return at which row the data of each object starts in each kernel table of the world, as an array
+        (objects + 1, len(ROWS)).
         """
         return np.vstack([np.zeros((1, len(ROWS)), np.int64), np.cumsum(self.counts, axis=0)])
 
@@ -107,7 +107,8 @@ _recent: deque[World] = deque(maxlen=KEPT)
 
 
 def world_of(objects: Mapping[str, CollisionObject]) -> World:
-    """Return the kernel's arrays of a scene's world objects; those of the most recent worlds are cached.
+    """Return the kernel arrays for all world objects of a scene. The arrays of the most recent scenes are
+    cached.
 
     Arrays of a new world are copied from an earlier one where its objects are the same, so that a change of a
     few among thousands of objects costs little.
@@ -161,8 +162,8 @@ def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, 
 
 
 def _runs(known: I64) -> tuple[I64, I64]:
-    """Split object indices into runs of consecutive indices, to copy the rows of world objects.
-    An index of -1 marks a new object.
+    """Split the objects of a changed world into runs that are copied together: consecutive indices in the
+    last world's arrays, or new objects (-1).
     """
     new = known < 0
     joins = np.where(new[1:], new[:-1], ~new[:-1] & (np.diff(known) == 1))

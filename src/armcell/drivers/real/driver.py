@@ -46,7 +46,7 @@ LOST = 0.003  # [m] decrease of a hand's width after which the object that it he
 
 
 class _HeldObject(NamedTuple):
-    """Object in the hand of a real arm, as armcell believes it."""
+    """Object that a real arm's gripper holds, as the driver recorded it at the grasp."""
 
     name: str
     T_tcp_object: SE3
@@ -154,7 +154,7 @@ class RealDriver(Driver):
         return {name: arm.identity.calibration for name, arm in self.arms.items()}
 
     def _connected(self) -> Supervisor:
-        """Return the supervisor that watches the safety of the real driver's connected arms.
+        """Return the safety supervisor of the real driver's connected arms.
 
         Raises:
             InputError: the driver is not connected.
@@ -383,7 +383,7 @@ class RealDriver(Driver):
                 raise
 
     def _wait_for_grippers(self) -> None:
-        """Wait until all grippers of the real driver answer again.
+        """Wait until all grippers of the driver's real arms have reconnected.
 
         Raises:
             InputError: a thread of this driver has ended, or a gripper does not reconnect in time.

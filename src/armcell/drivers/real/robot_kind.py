@@ -54,7 +54,7 @@ class RobotKind(ABC, Generic[A, I]):
     effort: ClassVar[tuple[str, str]] = ("current", "A")
 
     def complete_settings(self, arms: Mapping[str, A], model: RobotModel) -> dict[str, A]:
-        """Check all arms of one robot kind for contradictions, and fill in default values.
+        """Let a robot kind check the settings of all its arms for contradictions and fill in default values.
 
         Raises:
             InputError: two arms contradict each other, or a value is invalid.
@@ -91,7 +91,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def check_identity(self, name: str, arm: A, found: I) -> None:
-        """Check that a connected robot is the one that the cell file specifies for an arm.
+        """Let a robot kind check that a connected robot is the one that the cell file specifies for an arm.
 
         Raises:
             InputError: the connected robot is another one.
@@ -118,7 +118,7 @@ class RobotKind(ABC, Generic[A, I]):
         self, name: str, joint_names: tuple[str, ...], arm: A, limits: RealSettings, found: I,
         on_state: Callable[[], None],
     ) -> RealArm:  # fmt: skip
-        """Return an arm of a robot kind that is not connected yet.
+        """Create a `RealArm` of this robot kind, without connecting to the robot.
 
         Args:
             name: planning group of the arm.
@@ -135,7 +135,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def power_on(self, name: str, arm: A) -> str:
-        """Power on an arm of a robot kind and release its brakes, or ask the operator to do so.
+        """Power on an arm and release its brakes, as its robot kind requires, or ask the operator to do so.
 
         Returns the result in words.
 
@@ -145,12 +145,14 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def measured_positions(self, arm: A) -> Array:
-        """Return the measured joint positions (n,) [rad] of an arm. No driver needs to be connected."""
+        """Read the measured joint positions (n,) [rad] from the controller of an arm, without a connected
+        driver.
+        """
 
     @abstractmethod
     def flange_position(self, found: I, q: Array) -> Array:
-        """Return the flange position (3,) [m] of an arm in its base link.
-        The manufacturer's kinematic parameters determine the position, not the robot model.
+        """Compute the flange position (3,) [m] of an arm in its base link from the manufacturer's kinematic
+        parameters, independently of the robot model.
 
         Args:
             q: joint positions (n,) [rad].

@@ -22,7 +22,7 @@ class StrictSettings(BaseModel):
 
 
 class ArmSettings(StrictSettings):
-    """Settings of one real arm that all robot kinds share. Each kind adds its own settings."""
+    """Settings of one real arm that are common to all robot kinds. Each robot kind adds its own settings."""
 
     kind: str = DEFAULT_KIND  # robot kind; default: the kind of the block `real`
     backend: str = OWN  # what moves the arm: armcell or a vendor's library; default: that of the block `real`

@@ -55,7 +55,9 @@ def _groups(model: RobotModel, joints: int) -> list[str]:
 
 
 def _place(key: str, arm: str, default: bool) -> str:
-    """Return the place in the cell file that determines a value of an arm."""
+    """Return the cell-file path of an arm's setting, for example `real/kind` for the default of all arms, or
+    `real/arms/left/kind` for the arm's own value.
+    """
     return f"real/{key}" if default else f"real/arms/{arm}/{key}"
 
 

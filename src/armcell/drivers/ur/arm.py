@@ -451,7 +451,9 @@ class UrArm(RealArm):
 
 
 class UrExecution:
-    """Handle of a trajectory that a UR arm plays itself. The slider and pauses slow its clock."""
+    """Handle of a trajectory that was forwarded to a UR arm, which plays the trajectory itself. The speed
+    slider and pauses slow the progress.
+    """
 
     def __init__(self, arm: UrArm, trajectory: JointTrajectory):
         self._arm = arm

@@ -111,7 +111,8 @@ class ProgramConnection:
         return self._reverse is not None
 
     def start(self, timeout: float = 5.0) -> int:
-        """Upload armcell's robot program to the UR arm and wait until it connects. Return the session number.
+        """Upload armcell's robot program to the UR arm and wait until the program connects. Return the
+        session number.
 
         Raises:
             InputError: the program did not connect; the message states possible causes.

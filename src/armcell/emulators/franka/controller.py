@@ -127,7 +127,9 @@ class FrankaController:
         self._follow_reset()
 
     def _follow_reset(self) -> None:
-        """Let the controller continue after a reset of the world, also by another arm's controller."""
+        """Let the emulated Franka controller continue after the physics world was reset, by this controller
+        or by one that shares the world.
+        """
         self._resets = self.plant.resets
         self.hand.follow_reset()
         self.robot.follow_reset()

@@ -63,7 +63,8 @@ def cartesian_impedance(
 
 
 class Brake:
-    """Brake in the control of the emulated Franka arm, which brings a moving joint reference to rest.
+    """Braking motion in the joint control of the emulated Franka arm. It brings the arm's joint reference to
+    rest.
 
     All joints stop at the same time.
     """

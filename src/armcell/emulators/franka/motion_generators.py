@@ -28,8 +28,8 @@ ELBOW_START = 1e-2  # [rad]
 
 
 class Reflex(Exception):
-    """Error (reflex) that ends the motion of a Franka motion generator,
-    because of a command or a violated limit.
+    """Reflex of the emulated Franka arm: the error that a motion generator raises for an invalid command or a
+    violated limit, and that ends the motion.
 
     Attributes:
         error: name in `wire.errors.ERRORS`.
@@ -42,8 +42,8 @@ class Reflex(Exception):
 
 @dataclass
 class Reference:
-    """Reference that a Franka motion generator produces: the desired joint motion,
-    and the end effector in the base frame O.
+    """Reference that a Franka motion generator produces: the desired joint motion, and the desired pose and
+    motion of the end effector in the base frame O.
 
     Attributes:
         T: T_O_EE (4, 4); twist (6,) [m/s, rad/s] and acceleration (6,) of the command.
@@ -320,7 +320,8 @@ class CartesianMotion:
         return angle
 
     def _resolve(self, T: Array, elbow: float | None) -> Array:
-        """Return joint positions (7,) [rad] of a Franka arm at which the end effector has the pose T.
+        """Return the joint positions (7,) [rad] for a Cartesian motion of the Franka arm at which the end
+        effector has the pose T.
 
         The solution takes Newton steps from the current joint reference of the motion generator. If an elbow
         angle is given, joint 3 takes this angle; otherwise the joint motion has the least norm. Raises Reflex
@@ -373,7 +374,7 @@ class Motion:
 
     @property
     def by_torque(self) -> bool:
-        """Return whether the client commands the emulated Franka arm by torques.
+        """Return whether the client commands this motion of the emulated Franka arm by joint torques.
 
         Otherwise the arm follows the reference of a motion generator.
         """

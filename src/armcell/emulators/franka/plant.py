@@ -65,7 +65,9 @@ class FrankaPlant:
 
     # --- measurements ---
     def read(self) -> tuple[Array, Array]:
-        """Return the joint positions [rad] and velocities [rad/s] measured on the Franka plant, each (7,)."""
+        """Return the measured joint positions [rad] and velocities [rad/s], each (7,), of the simulated
+        Franka arm.
+        """
         data = self.world._data
         return data.qpos[self._qpos] + self._offset, data.qvel[self._dofs]
 
@@ -107,7 +109,7 @@ class FrankaPlant:
         return data.qfrc_gravcomp[dofs] - data.qfrc_passive[dofs]  # MuJoCo's passive forces have both
 
     def inertia(self) -> Array:
-        """Return the diagonal (7,) [kg m^2] of the inertia matrix of the Franka plant in joint space."""
+        """Return the diagonal (7,) [kg m^2] of the simulated Franka arm's joint-space inertia matrix."""
         model, data = self.world.mj_model, self.world.mj_data
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
@@ -122,8 +124,8 @@ class FrankaPlant:
         return self._tip_torque(-self._payload * np.asarray(self.world.settings.gravity))
 
     def _tip_torque(self, force: Array) -> Array:
-        """Return the joint torques (7,) [Nm] that a force (3,) [N] at the
-        center of the Franka plant's last link produces.
+        """Return the joint torques (7,) [Nm] that a force (3,) [N] at the center of mass of the simulated
+        Franka arm's last link produces.
 
         The force is in the world frame.
         """
@@ -155,7 +157,9 @@ class FrankaPlant:
         return [p for p in pairs if p[0] in self.links]
 
     def contact(self) -> str:
-        """Describe the strongest contact of the arm in the Franka plant, such as "panda_hand on wall"."""
+        """Describe the strongest contact of the emulated Franka arm in the physics simulation, such as
+        "panda_hand on wall".
+        """
         mine = [c for c in self.world.contacts() if self.links & {c.body_a, c.body_b}]
         if not mine:
             return "no contact"
@@ -168,7 +172,9 @@ class FrankaPlant:
         self.world.set_arm_torque(self.names, torque)
 
     def set_joint_targets(self, time: float) -> None:
-        """Keep the applied torques: a Franka controller commands torques, not positions to interpolate."""
+        """Do nothing: the simulated Franka arm is driven by joint torques, so it has no position targets to
+        interpolate.
+        """
 
     def step(self) -> None:
         """Advance the physics world of the Franka plant by 1 ms."""

@@ -413,7 +413,9 @@ class Robot:
         self.follow_reset()
 
     def follow_reset(self) -> None:
-        """Let the emulated Franka robot continue at rest after its plant was reset or displaced."""
+        """Abort the motion of the emulated Franka robot, clear its errors and hold the present joint
+        positions, after the simulated arm was reset or displaced.
+        """
         self._finish(MoveStatus.ABORTED)
         self._brake = None
         self.errors.clear()
@@ -431,7 +433,9 @@ class Robot:
     # --- parameters ---
     @property
     def can_set_parameters(self) -> SetterStatus:
-        """Return whether clients may set the emulated Franka robot's parameters now, outside a motion."""
+        """Return the status of a client's request to set parameters of the emulated Franka robot: not
+        possible during a motion, otherwise success.
+        """
         return SetterStatus.NOT_POSSIBLE if self.mode is RobotMode.MOVE else SetterStatus.SUCCESS
 
     def set_load(self, mass: float, center: ArrayLike, inertia: ArrayLike) -> SetterStatus:

@@ -37,8 +37,7 @@ class Setpoint:
         self.v_max = np.array(model.velocity)
 
     def resting_at(self, q: ArrayLike) -> Setpoint:
-        """Return a setpoint of the same emulated UR arm with zero speed
-        at the joint positions q (6,) [rad].
+        """Return a new setpoint of this emulated UR arm, at rest at the joint positions q (6,) [rad].
 
         The TCP and the speed limits stay the same.
         """
@@ -47,8 +46,8 @@ class Setpoint:
         return other
 
     def accelerated_toward(self, v_wanted: Array, a: float, dt: float) -> tuple[Array, Array]:
-        """Return the joint target after one step of an emulated UR arm's motion that accelerates toward a
-        given velocity within the limits.
+        """Compute the next joint target of an emulated UR arm that accelerates toward the desired joint
+        velocities, within its acceleration and velocity limits.
 
         Args:
             v_wanted: joint velocities (6,) [rad/s].

@@ -48,7 +48,8 @@ class Plant(Protocol):
         ...
 
     def step(self, dt: float) -> None:
-        """Advance the simulation of the UR plant by a control period [s]. Arms in one world share the time.
+        """Advance the simulation of an emulated UR arm by one control period [s]. Arms that share a physics
+        world advance the world together.
 
         Each of n arms advances the world by 1/n of the period.
         """
@@ -77,7 +78,7 @@ class Plant(Protocol):
         ...
 
     def drive_gripper(self, opening: float, force: float) -> None:
-        """Move the gripper of the UR plant to an opening with limited force.
+        """Move the gripper of a simulated UR arm to an opening with limited force.
 
         Args:
             opening: 0..1 of the largest opening; 0 grasps.
@@ -92,7 +93,8 @@ class Plant(Protocol):
         ...
 
     def object_pose(self, name: str) -> list[float]:
-        """Return the world pose of an object in the UR plant: x, y, z [m] and rotation vector [rad].
+        """Return the world pose of an object in the simulation of a UR arm: x, y, z [m] and rotation vector
+        [rad].
 
         Raises:
             ValueError: no object has this name.

@@ -83,8 +83,8 @@ class Robot:
 
     # --- time ---
     def before_step(self) -> None:
-        """Run the program and the motion of the emulated UR robot for
-        one control step, and command the plant.
+        """Execute one control step of the program and the motion on the emulated UR robot, and send the joint
+        targets to the simulated arm.
         """
         self.time += self.period
         if self.plant.resets != self._resets:
@@ -180,7 +180,7 @@ class Robot:
             self.motion = StopJ(8.0)
 
     def after_step(self) -> None:
-        """Update the state of the emulated UR robot from the plant, after the plant has made its step."""
+        """Update the state of the emulated UR robot from the simulated arm, after each simulation step."""
         speeds = self.plant.read()[1]
         self.actual_qdd, self._speeds = (speeds - self._speeds) / self.period, np.array(speeds)
         detecting = self.time < self.detecting
@@ -193,7 +193,9 @@ class Robot:
         self.digital_in = (self.digital_in & ~(1 << TOOL_INPUT_HOLDS)) | (int(holds) << TOOL_INPUT_HOLDS)
 
     def _follow_reset(self) -> None:
-        """Restart the emulated UR robot in the state of the plant after the plant was reset."""
+        """End the program and the motion of the emulated UR robot after a reset of the simulated arm, and
+        continue at rest from the new joint positions.
+        """
         self._resets = self.plant.resets
         self.end_program()
         self.unlock()
@@ -226,8 +228,8 @@ class Robot:
     # --- program ---
     @property
     def can_run_program(self) -> bool:
-        """Return whether a program may start on the emulated UR robot: it must be running,
-        and safety must permit motion.
+        """Return whether the emulated UR robot can start a program: the robot must be running, and its safety
+        state must permit motion.
         """
         return self.mode is RobotMode.RUNNING and self.safety in MAY_MOVE
 

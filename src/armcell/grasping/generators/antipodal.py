@@ -106,12 +106,16 @@ def _spread(pairs: list[Pair], before: list[Pair]) -> list[Pair]:
 
 
 def _places(pairs: list[Pair]) -> Array:
-    """Return where pairs are, (n, 6): their middles in units of 20 mm, and their directions."""
+    """Return one vector per contact pair of an antipodal grasp, as an array (n, 6): the midpoint in units of
+    20 mm, and the unit direction between the contacts.
+    """
     return np.array([np.concatenate([m / 0.02, c]) for m, c, _ in pairs]).reshape(-1, 6)
 
 
 def _apart(at: Array, place: Array) -> Array:
-    """Return the squared distances of pairs (n, 6) from a pair (6,), whose contacts may be swapped."""
+    """Return the squared distances (n,) between contact pairs (n, 6) and one given contact pair (6,). The
+    order of the two contacts in a pair does not matter.
+    """
     swapped = place * np.array([1, 1, 1, -1, -1, -1])
     return np.minimum(((at - place) ** 2).sum(1), ((at - swapped) ** 2).sum(1))
 

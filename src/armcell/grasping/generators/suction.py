@@ -59,7 +59,9 @@ def suction_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Arra
 
 
 def _far_apart(points: Array, count: int) -> list[int]:
-    """Return the indices of points that are far from each other, by farthest point sampling."""
+    """Select surface points for suction grasps that are far from each other, by farthest point sampling.
+    Return their indices.
+    """
     chosen = [0]
     far = np.full(len(points), np.inf)
     while len(chosen) < min(count, len(points)):

@@ -16,7 +16,7 @@ from armcell.model import RobotModel
 def ik_solver(
     model: RobotModel, group: str, tip_link: str | None = None, settings: IKSettings = IKSettings()
 ) -> IKSolver:
-    """Return the solver for the inverse kinematics of a planning group.
+    """Select the inverse kinematics solver for a planning group, analytic or numeric.
 
     The robot may name the solver (`ik_solvers` in robot.yaml); otherwise it is analytic if possible, else
     numeric. The solver is cached, because robot models are immutable.

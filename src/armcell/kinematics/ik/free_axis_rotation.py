@@ -21,7 +21,8 @@ APART = 1e-3  # [rad] distinct angles
 def free_axis_angles(
     model: RobotModel, group: str, tip_link: str, T_tip_axis: SE3, T_world_axis: SE3, reference: ArrayLike
 ) -> Iterator[float]:
-    """Yield the angles [rad] by which a goal may turn about an axis so that an arm reaches the goal.
+    """Solve the inverse kinematics of a goal that may rotate freely about one axis: yield the rotation angles
+    [rad] at which the arm reaches the goal.
 
     The z axis of the frame `axis` is the axis of rotation. The tip reaches the pose
     `T_world_axis @ Rz(angle) @ inverse(T_tip_axis)` within the joint limits. A continuous joint about the

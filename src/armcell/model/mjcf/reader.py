@@ -107,7 +107,7 @@ class _Reader:
         return {frozenset((m.body(a).name, m.body(b).name)): why for why, a, b in pairs if a and b and a != b}
 
     def root(self) -> str:
-        """Return the name of the root link of an MJCF robot.
+        """Return the name of the root link of a robot model that is read from an MJCF file.
 
         If the robot has a single base body and this body is fixed at the origin, the body is the root link.
         Otherwise, return an unused name for a new root link.

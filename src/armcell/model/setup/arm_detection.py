@@ -183,8 +183,8 @@ def _rigid_below(model: RobotModel, link: str) -> list[str]:
 
 
 def common_link(model: RobotModel, links: list[str]) -> str:
-    """Return the lowest common ancestor of all links of a gripper, to detect arm chains.
-    It can be one of these links.
+    """Return the lowest common ancestor of the given links in the robot's joint tree. If one of these links
+    is an ancestor of all others, return this link.
     """
     trails = []
     for link in links:
@@ -196,8 +196,8 @@ def common_link(model: RobotModel, links: list[str]) -> str:
 
 
 def _fixed_hand(model: RobotModel, last: str) -> str | None:
-    """Return the palm of a gripper whose fingers are fixed in the URDF, or None.
-    The gripper is at the end of an arm chain.
+    """Return the palm of a gripper at the end of a detected arm chain if its fingers are fixed in the URDF,
+    else None.
 
     The palm is the first link fixed below `last` with at least two branches that have collision geometry.
     """

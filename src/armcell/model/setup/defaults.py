@@ -111,7 +111,7 @@ def moveit_controllers(model: RobotModel) -> dict[str, Any]:
 
 
 def _own(model: RobotModel, group: Group) -> bool:
-    """Return whether a planning group gets its own controller in moveit_controllers.yaml.
+    """Return whether a planning group gets its own controller in the default moveit_controllers.yaml.
 
     A group that contains all joints of a smaller group gets none, because the smaller group has its own.
     """
@@ -121,7 +121,7 @@ def _own(model: RobotModel, group: Group) -> bool:
 
 
 def pilz_cartesian_limits() -> dict[str, Any]:
-    """Return pilz_cartesian_limits.yaml with the default values of MoveIt's Setup Assistant."""
+    """Return a default pilz_cartesian_limits.yaml for MoveIt, with the values of MoveIt's Setup Assistant."""
     return {
         "cartesian_limits": {
             "max_trans_vel": 1.0,  # [m/s]

@@ -28,7 +28,8 @@ FORMAT = "drive=JOINT fingers=LINK,LINK tcp=LINK closes=lower|upper"
 
 @dataclass(frozen=True)
 class GripperSpec:
-    """Facts about a gripper that the user states; setup recognizes the rest.
+    """Gripper specification that the user passes to robot setup (`--gripper`). Setup detects every property
+    that is empty.
 
     Attributes:
         end: end effector; empty: the only one without a gripper.
@@ -46,7 +47,8 @@ class GripperSpec:
 
     @classmethod
     def parse(cls, text: str) -> GripperSpec:
-        """Return the facts of a text such as "drive=JOINT fingers=LINK,LINK closes=upper".
+        """Parse the user's specification for gripper detection, such as "drive=JOINT fingers=LINK,LINK
+        closes=upper".
 
         Raises:
             InputError: the text does not have this format.
@@ -110,7 +112,7 @@ def reasons(model: RobotModel) -> dict[str, str]:
 
 
 def _by_end(model: RobotModel, stated: Sequence[GripperSpec]) -> dict[str, GripperSpec]:
-    """Return the stated facts by end effector.
+    """Return the user's gripper specifications as a dictionary with the names of end effectors as keys.
 
     Raises:
         InputError: an end effector does not exist, is stated twice, or is missing although there are several.
@@ -167,7 +169,9 @@ def _with_gripper(model: RobotModel, end: EndEffector, fact: GripperSpec) -> Rob
 
 
 def _moves_both_jaws(model: RobotModel, end: EndEffector, name: str, fact: GripperSpec) -> RobotModel | None:
-    """Return the robot with the gripper whose jaws one of several driven joints moves, if it moves both."""
+    """Try to detect a gripper in which the driven joint `name` moves both jaws. Return the robot with this
+    gripper, or None.
+    """
     if sum(j.movable and driver_of(model, j) == name for j in model.joints.values()) < 2:
         return None
     try:
@@ -189,7 +193,8 @@ def _with_driven(model: RobotModel, end: EndEffector, name: str, fact: GripperSp
 
 
 def _check_finger(hand: HandGeometry, link: str) -> None:
-    """Check that the driven joint moves a stated finger, or that the finger is fixed to the palm.
+    """Check a user-specified finger for gripper detection: the driven joint must move the finger, or the
+    finger must be fixed to the palm.
 
     Raises:
         GripperNotRecognizedError: the finger is elsewhere, or another driven joint moves it.

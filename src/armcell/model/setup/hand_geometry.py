@@ -27,7 +27,7 @@ class GripperNotRecognizedError(Exception):
 
 
 class HandGeometry:
-    """Robot hand that robot setup examines to decide whether it is a two-jaw gripper.
+    """Geometry of a robot hand, from which robot setup decides whether the hand is a two-jaw gripper.
 
     The class samples points on the surfaces of the hand's links. It computes where these points are at any
     position of the driven joint.
@@ -84,14 +84,16 @@ class HandGeometry:
         return R.rotation.matrix.T @ np.asarray(joint.axis)
 
     def arm_joints(self) -> int:
-        """Return the number of movable joints above the palm."""
+        """Return the number of movable joints in the arm that carries the hand, from the robot's root link to
+        the palm.
+        """
         return sum(j.movable for j in self.model.chain(self.model.root_link, self.palm))
 
     def gap(
         self, a: tuple[str, ...], b: tuple[str, ...], axes: Array, q: float
     ) -> tuple[float, Array, Array, Array]:
-        """Compare the facing surfaces of two jaws on a grid in x and z,
-        to decide whether they form a gripper.
+        """Compute the gap [m] between two jaws of a hand from the points on their facing surfaces, on a grid
+        in x and z.
 
         Returns:
             The smallest gap [m] (infinite if the jaws face each other nowhere), and the cells (n, 2), the

@@ -74,7 +74,7 @@ def find_jaws(hand: HandGeometry, fingers: tuple[Part, ...] = (), closes: str = 
 
 
 def _side(hand: HandGeometry, links: Part) -> Part:
-    """Return the links of a jaw that the user states, with the links that are fixed to them."""
+    """Return all links of a jaw: the links that the user specified and the links that are fixed to them."""
     return tuple(dict.fromkeys(n for link in links for n in hand.rigid[link]))
 
 
@@ -94,7 +94,8 @@ def _out(hand: HandGeometry, parts: list[Part], mid: float) -> Array:
 
 
 def _pair(hand: HandGeometry, solid: list[Part], speeds: dict[Part, Array]) -> tuple[Part, Part]:
-    """Return the two parts of different branches that move toward each other and reach farthest.
+    """Select the two parts of a hand that are its jaws: parts on different branches below the palm that move
+    toward each other and extend farthest out of the hand.
 
     Raises:
         GripperNotRecognizedError: there are no such parts, or three fingers close on the object.
@@ -133,7 +134,7 @@ def _pair(hand: HandGeometry, solid: list[Part], speeds: dict[Part, Array]) -> t
 def _facing(
     hand: HandGeometry, a: Part, b: Part, speeds: dict[Part, Array], low: float, high: float, closes: str
 ) -> Jaws:
-    """Return the jaws of two parts that move toward each other."""
+    """Return the two jaws of a gripper, given the two parts of the hand that move toward each other."""
     mid = (low + high) / 2
     y = speeds[a] - speeds[b]
     if np.linalg.norm(y) < 1e-9:
@@ -213,8 +214,8 @@ def _single(hand: HandGeometry, jaw: Part, low: float, high: float, closes: str)
 
 
 def _between_pads(hand: HandGeometry, a: Part, b: Part, axes: Array, q: float, turn: float) -> Array:
-    """Turn the axes of a detected gripper about x such that z halves the angle between the pads at half the
-    opening. Neither jaw then presses a grasped object far up or down.
+    """Turn the axes of a gripper's jaws about x so that z bisects the angle between the pads when the gripper
+    is half open. The closing jaws then push a grasped object only slightly along z.
 
     If the axis of an arm with few joints is near the pad of the fixed jaw, it becomes z.
 
@@ -247,8 +248,8 @@ def _nearest(hand: HandGeometry, fixed: Part, jaw: Part, q: float, pivot: Array)
 
 
 def _axes(y: Array, out: Array) -> Array:
-    """Return the axes (3, 3) of a gripper's frame as rows,
-    given its closing direction and its outward direction.
+    """Return the axes (3, 3) of a gripper's frame as rows, given the jaws' closing direction and the
+    direction out of the hand.
     """
     y = _snapped(y / np.linalg.norm(y))
     z = out - (out @ y) * y
@@ -261,7 +262,7 @@ def _axes(y: Array, out: Array) -> Array:
 
 
 def _snapped(direction: Array) -> Array:
-    """Return the frame axis that is within 3 degrees of a gripper's direction,
+    """Return the axis of the palm's frame that is within 3 degrees of the jaws' closing or outward direction,
     or else the direction itself.
     """
     k = int(np.argmax(np.abs(direction)))

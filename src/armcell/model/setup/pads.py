@@ -28,7 +28,8 @@ FORCES = (1.0, 300.0)  # [N] per finger; other values of a description are not a
 
 
 def with_measured_gripper(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool: str = "") -> RobotModel:
-    """Return the robot with a gripper whose parameters are measured on the meshes of its jaws.
+    """Return the robot with a gripper whose parameters, such as the pads, are measured on the meshes of its
+    jaws.
 
     Args:
         tool: link that must be the tcp; empty: a suitable frame of the hand, or a new link.
@@ -106,7 +107,8 @@ def with_measured_gripper(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool
 
 
 def _pad_cells(cells: Array, gaps: Array, tip: float, flat: float) -> Array:
-    """Return the cells (n, 2) of the pads: the surfaces with the smallest gap at the ends of the jaws.
+    """Select the grid cells (n, 2) that belong to a gripper's pads: the cells near the ends of the jaws where
+    the gap between the jaws is smallest.
 
     If the outer end of the jaws has a much larger flat surface than a ridge farther inside, it is the pad.
 
@@ -190,13 +192,15 @@ def _reach(hand: HandGeometry, jaws: Jaws, width: float, curve: Array, z: float)
 
 
 def _finger_links(hand: HandGeometry, part: tuple[str, ...]) -> list[str]:
-    """Return the link with the most points of each rigid part of a jaw."""
+    """Return the finger links of a jaw for a gripper's parameters: in each rigid part of the jaw, the link
+    with the most surface points.
+    """
     rigid = dict.fromkeys(hand.rigid[name] for name in part)
     return [max(links, key=lambda n: len(hand.points[n])) for links in rigid]
 
 
 def _existing(hand: HandGeometry, T_palm_tcp: SE3, reach: float, tool: str) -> tuple[str | None, SE3, float]:
-    """Find an existing frame of the robot that can serve as a gripper's tcp.
+    """Find an existing frame of the robot that is between the pads of a gripper and can serve as its tcp.
 
     Args:
         tool: the only link that may be the tcp; empty: any suitable frame.
@@ -239,7 +243,7 @@ def _force(hand: HandGeometry, slope: float) -> float:
 
 
 def _depth(hand: HandGeometry, jaws: Jaws, axes: Array, z: float) -> float:
-    """Return the length [m] of the jaws of a detected gripper, from the tcp to the palm."""
+    """Return the length [m] of a detected gripper's jaws, from the tcp between the pads to the palm."""
     moving = {n for j in hand.moving for n in hand.model.subtree(j.child)}
     body = [n for n in hand.hand_links() if n not in moving]
     if jaws.single:  # the palm is a jaw

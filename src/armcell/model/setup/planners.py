@@ -79,7 +79,7 @@ PLANNERS: dict[str, dict[str, Any]] = {
 
 
 def config_name(planner: str) -> str:
-    """Return the name under which a MoveIt configuration lists an OMPL planner, such as
+    """Return the name of an OMPL planner in a MoveIt configuration's ompl_planning.yaml, such as
     `RRTConnectkConfigDefault`.
     """
     return f"{planner}kConfigDefault"

@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 
 
 def surface_points(link: Link, spacing: float) -> Array:
-    """Return random points (n, 3) [m] on the collision meshes of a link, about three per square whose edge is
-    `spacing` [m]. Other shapes count as their bounding boxes.
+    """Sample points (n, 3) [m] on the surface of a link's collision shapes, about three points per square of
+    side `spacing` [m]. A shape that is not a mesh is replaced with its bounding box.
     """
     found = [np.zeros((0, 3))]
     for collision in link.collisions:
@@ -29,7 +29,9 @@ def surface_points(link: Link, spacing: float) -> Array:
 
 
 def _spread(corners: Array, spacing: float) -> Array:
-    """Return points on triangles (n, 3, 3): all corners, and random points in triangles that are large."""
+    """Sample points on the surface of a link, given as triangles (n, 3, 3): all corners, and random points in
+    large triangles.
+    """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     count = np.minimum(np.ceil(3 * area / spacing**2), 3000).astype(int)
@@ -41,7 +43,7 @@ def _spread(corners: Array, spacing: float) -> Array:
 
 
 def _box(center: Array, half: Array) -> Array:
-    """Return the triangles (12, 3, 3) of a box."""
+    """Return the triangles (12, 3, 3) of a box, to sample points on its surface."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     v = np.asarray(center) + signs * np.asarray(half)
     quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]

@@ -25,8 +25,8 @@ NOWHERE = Path("/")
 
 @dataclass(frozen=True)
 class UrdfPart:
-    """One of several URDF or xacro texts to be merged,
-    with a name prefix and the pose of its root link in the world.
+    """One of several URDF or xacro files to be merged as text, with a name prefix and the pose of its root
+    link in the world.
     """
 
     file: Path
@@ -38,7 +38,7 @@ class UrdfPart:
 def merged_urdf(
     parts: Sequence[UrdfPart], name: str | None = None, allow_env: bool | None = None
 ) -> tuple[str, str]:
-    """Merge several URDF or xacro files into one URDF. Return the name of the robot and the text.
+    """Merge several URDF or xacro files into one URDF text. Return the name of the robot and the text.
 
     A fixed joint connects each robot to the link "world". A single robot without a pose stays unmounted.
 

@@ -77,7 +77,8 @@ class Budget:
 
 
 def size(value: Any) -> int:
-    """Return the size of a xacro value, which is subtracted from the budget: its number of items.
+    """Return the size of a xacro value: its number of items. Operations on the value charge this size to the
+    budget of the xacro file.
 
     Nested items count too. A string counts as one item plus one for every 64 characters. An item that occurs
     twice counts twice, because printing and comparing it takes twice as long.

@@ -107,8 +107,8 @@ def expand_with_source_locations(
 
 
 def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
-    """Return the missing arguments of a xacro file, `name` first.
-    The others are arguments that the file uses but does not declare, and that `given` does not contain.
+    """Return the names of the missing arguments for expanding a xacro file: first `name`, then all arguments
+    that the file uses but that are neither declared in the file nor contained in `given`.
     """
     text = etree.tostring(root, encoding="unicode")
     known = {*given, *(str(e.get("name")) for e in root.iter() if _is_xacro_tag(e, "arg"))}
@@ -177,7 +177,9 @@ class _Expansion:
         return self.substitution.resolve(inside, self.reading[-1].parent)
 
     def _names(self, names: Scope) -> dict[str, Any]:
-        """Return the functions, constants and namespaces that all expressions in a xacro file can use."""
+        """Return the functions, constants and namespaces that all expressions can use while a xacro file is
+        expanded.
+        """
 
         def say(level: int) -> Any:
             def run(budget: Budget, /, *arguments: Any, **_: Any) -> str:
@@ -211,7 +213,7 @@ class _Expansion:
         return {**MATH, **BASIC, **functions, **spaces}
 
     def _path(self, name: str) -> Path:
-        """Resolve a path in a xacro file. It is relative to the file that is being read."""
+        """Resolve a path in a xacro file, relative to the folder of the file that is being expanded."""
         if "\0" in name:
             raise XacroError(f"{name!r} is not a path")
         return self.reading[-1].parent / name
@@ -273,8 +275,8 @@ class _Expansion:
         self._children(source, made, macros, scope)
 
     def _inside(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Expand the content of a xacro element and append it to a URDF element,
-        without the element's attributes.
+        """Expand the content (children and text) of a xacro element and append it to a URDF element. The URDF
+        element gets no new attributes.
 
         As in plain xacro, an <xacro:attribute> directly inside `source` has no effect on `out`.
         """

@@ -200,7 +200,7 @@ class _Evaluator:
         return answer
 
     def data(self, *values: Any) -> None:
-        """Deduct the size of a xacro operator's operands from the budget for expanding the xacro file.
+        """Deduct the size of the operands in a xacro expression from the budget for expanding the xacro file.
 
         Numbers and None are free.
 

@@ -42,12 +42,14 @@ class MissingFile(XacroError):
     """Error for a missing file that the xacro file of a robot includes or loads."""
 
     def depends_on(self, value: str) -> bool:
-        """Return whether an argument's value can be the cause of the wrong path."""
+        """Return whether the value of a xacro argument can be the reason why the path of a required file is
+        wrong.
+        """
         return value in self.reason if value else "is a folder" in self.reason
 
 
 class RobotFiles:
-    """Reader for the files to which a robot description refers. It reads only from allowed folders.
+    """Reader for the files to which a xacro robot description refers. It reads only from allowed folders.
 
     Args:
         main: the robot file.
@@ -77,8 +79,8 @@ class RobotFiles:
         return found.folder
 
     def checked(self, path: Path) -> Path:
-        """Resolve symlinks in the path of a robot's file.
-        Check that the file is in one of the robot's packages.
+        """Resolve symlinks in the path of a file that a xacro robot description reads, and check that the
+        file is in one of the robot's packages.
 
         Raises:
             XacroError: the file is outside the robot's packages, or `path` is not a valid path.
@@ -154,8 +156,8 @@ class RobotFiles:
 
     def _loaded(self, text: str, path: Path, evaluate: Any) -> Any:
         class Loader(SafeLoader):
-            """YAML 1.1 loader for a robot's files that reads `yes` as true,
-            as ROS does, and supports xacro's units.
+            """YAML 1.1 loader for the YAML files of a xacro robot description. It reads `yes` as true, as ROS
+            does, and supports xacro's units.
             """
 
         def with_unit(loader: Any, tag: str, node: yaml.Node) -> float:

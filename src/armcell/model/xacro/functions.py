@@ -51,7 +51,8 @@ def text_of(value: Any) -> str:
 
 
 def items_of(value: Any) -> Sequence[Any]:
-    """Return the items of a value over which functions and loops in a xacro expression iterate.
+    """Return the items of a xacro value as a sequence over which functions and loops in expressions can
+    iterate. A dictionary yields its keys.
 
     Raises:
         XacroError: the value is not a string, list, tuple or dictionary.

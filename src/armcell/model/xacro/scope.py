@@ -148,7 +148,7 @@ def literal(value: Any) -> Any:
 
 
 def truth(value: Any, text: str | None = None) -> bool:
-    """Evaluate the condition of a xacro element in its scope and return it as a boolean.
+    """Return the condition of a xacro element, evaluated in its scope, as a boolean.
 
     Args:
         value: the evaluated condition.

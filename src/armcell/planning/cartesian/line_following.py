@@ -54,7 +54,7 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class StopReason:
-    """Reason why a Cartesian path stops before the end of its line: cause, text, error code and evidence.
+    """Reason why a robot cannot follow a Cartesian line to its end: cause, text, error code and evidence.
 
     The cause is one of the constants above.
     """
@@ -66,13 +66,13 @@ class StopReason:
 
 
 def collision_stop(contacts: list[Contact]) -> StopReason:
-    """Return the reason for stopping a Cartesian line where bodies touch."""
+    """Return the reason why the robot stops following a Cartesian line: bodies would touch."""
     text = "; ".join(c.describe() for c in contacts[:3]) or "in collision"
     return StopReason(COLLISION, text, ErrorCode.INVALID_MOTION_PLAN, {"contacts": contacts})
 
 
 def jump_stop(joint: str, step: float, threshold: float, field: str, unit: str) -> StopReason:
-    """Return the reason for stopping a Cartesian line where a joint would jump.
+    """Return the reason why the robot stops following a Cartesian line: a joint would jump.
 
     Args:
         threshold: jump threshold of the request, in `unit` or as a factor.
@@ -91,7 +91,7 @@ def at_violation(manifold: ConstraintManifold, q: Array) -> list[Violation]:
 
 
 def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
-    """Return the reason for stopping a Cartesian line where path constraints are violated."""
+    """Return the reason why the robot stops following a Cartesian line: it would violate path constraints."""
     found = at_violation(manifold, q)
     words = [
         v.text
@@ -107,7 +107,8 @@ def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
 def ik_stop(
     ik: IKSolver, pose: SE3, before: Array, closest: Array, short: tuple[float, float], limits: list[str]
 ) -> StopReason:
-    """Return the reason for stopping a Cartesian line where inverse kinematics has no suitable solution.
+    """Return the reason why the robot stops following a Cartesian line: inverse kinematics has no suitable
+    solution.
 
     The cause is a joint limit, an unreachable pose, a singularity or a change to another branch.
 
@@ -149,8 +150,8 @@ FASTEST = 0.05  # [rad or m] largest null-space motion in one step
 
 @dataclass(frozen=True, eq=False)
 class FollowedLine:
-    """Joint positions (n,) at the steps of a Cartesian line, up to the point where the robot cannot continue,
-    and the reason why it stops there.
+    """Result of following a Cartesian line: the joint positions (n,) at each step up to the point where the
+    robot must stop, and the reason for the stop.
 
     The stop is None if the line is complete.
     """
@@ -192,8 +193,8 @@ class RestingStartRule:
 
 
 class LineFollower:
-    """Follower of Cartesian lines, which solves inverse kinematics step by step for one group; all other
-    joints stay at `rest` (dof,).
+    """Solver that follows Cartesian lines step by step by inverse kinematics of one group. All other joints
+    keep their positions in `rest` (dof,).
 
     Args:
         bounds: (n, 2) lower and upper limits that the group's joints keep.
@@ -277,8 +278,8 @@ class LineFollower:
         return FollowedLine(path, None)
 
     def _refused(self, q: Array) -> Stop | None:
-        """Return the reason why the arm must not be at positions q (n,) on a Cartesian line, or None if q is
-        allowed.
+        """Return the reason why the arm must not move to positions q (n,) when it follows a Cartesian line,
+        or None if q is allowed.
         """
         checker, manifold = self.checker, self.manifold
         if checker is not None and not checker.is_free(q):

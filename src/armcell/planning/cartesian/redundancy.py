@@ -93,8 +93,8 @@ def _null(ik: IKSolver, full: Array, like: Array | None) -> Array:
 
 
 def _between(last: _Node, cuts: list[int], count: int) -> Array:
-    """Interpolate the joint positions of a redundant arm linearly
-    between selected points (cuts) on a line.
+    """Interpolate a redundant arm's joint positions linearly along a line, between the configurations that
+    the search chose at a few steps of the line (`cuts`).
     """
     nodes: list[Array] = []
     node: _Node | None = last

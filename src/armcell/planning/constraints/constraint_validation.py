@@ -72,7 +72,7 @@ def _tolerances(what: str, values: tuple[float, ...]) -> None:
 
 
 def contradiction(scene: PlanningScene, group: str, constraints: Constraints) -> str:
-    """Explain why the constraints of a request contradict each other, so that no state satisfies all of them.
+    """Check the constraints of a request for contradictions, and explain why no state satisfies all of them.
 
     Return "" if the checks find no contradiction.
     """
@@ -92,8 +92,8 @@ def contradiction(scene: PlanningScene, group: str, constraints: Constraints) ->
 def joint_ranges(
     scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]
 ) -> tuple[Array, Array]:
-    """Intersect the joint limits of a group with its joint constraints,
-    to find out whether the constraints contradict each other.
+    """Intersect the joint limits of a group with its joint constraints, to check the constraints for
+    contradictions.
 
     Return the lower and upper bounds (n,), (n,).
     """
@@ -108,8 +108,8 @@ def joint_ranges(
 
 
 def contradictory_joint(scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]) -> str:
-    """Return the name of a joint whose joint constraints contradict each other,
-    so that no position is allowed.
+    """Check the joint constraints of a group for contradictions, and explain why a joint has no allowed
+    position.
 
     Return "" if every joint has an allowed position.
     """
@@ -145,7 +145,7 @@ def _out_of_reach(scene: PlanningScene, group: str, c: PositionConstraint) -> st
 
 
 def _apart(scene: PlanningScene, name: str, a: OrientationConstraint, b: OrientationConstraint) -> str:
-    """Explain why two orientation constraints on the same link contradict each other.
+    """Check two orientation constraints on the same link for a contradiction, and explain it.
 
     Return "" if a rotation can satisfy both.
     """

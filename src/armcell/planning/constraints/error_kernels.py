@@ -166,7 +166,7 @@ def orientation_error(n, c, x, turn):
 
 @njit(cache=True)
 def point_at(n, c, x, point):
-    """Compute the world position of the point that a position constraint restricts.
+    """Compute the world position of a position constraint's point for the constraint's error kernel.
 
     This compiled kernel takes the pose of the point's link from the scratch memory x. Call `place_links`
     first.
@@ -213,7 +213,8 @@ def signed_distance(n, c, shape, sizes, px, py, pz):
 
 @njit(cache=True)
 def nearest_region_shape(n, c, point, sizes, px, py, pz):
-    """Find the shape of a constraint region that is nearest to a world point.
+    """Find the shape of a constraint region that is nearest to a world point, to compute the constraint's
+    error.
 
     Returns:
         The number of the shape, and the signed distance [m] from the point to this shape.
@@ -250,7 +251,8 @@ def within_tolerances(n, c, x, q, at, inner):
 
 @njit(cache=True, nogil=True)
 def evaluate_errors(handle, q, out):
-    """Evaluate the errors of all constraints at joint positions (dof,), and write them to `out`.
+    """Evaluate the compiled error kernel of all constraints at joint positions (dof,), and write the errors
+    to `out`.
 
     Orientation errors come first, per axis [rad]; then each point's signed distance [m] to its region,
     negative inside. Takes arrays instead of pointers.

@@ -93,7 +93,8 @@ def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
 
 
 def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
-    """Check that some state can satisfy a visibility constraint, and raise an error if none can.
+    """Check the frames and numbers of a visibility constraint before its evaluation, and raise an error if
+    one of them is invalid.
 
     Raises:
         UnknownNameError: no such frame or axis.

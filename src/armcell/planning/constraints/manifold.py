@@ -46,7 +46,9 @@ proven to stay exactly on a boundary."""
 
 @dataclass(frozen=True)
 class Violation:
-    """Violation of a constraint: the kind and name of the constraint, the amount, and a description."""
+    """Violation of a constraint of the manifold: the kind and name of the constraint, the amount, and a
+    description.
+    """
 
     kind: str  # "joint", "orientation" or "position"
     name: str  # name of the joint or of the constrained link
@@ -123,8 +125,8 @@ class ConstraintManifold:
         return at
 
     def _resolve(self, name: str | None) -> tuple[str, SE3]:
-        """Find the link that carries a frame that the manifold constrains, and the pose of the frame in this
-        link. The frame is a link, a tip or an attached object.
+        """Find the robot link that carries a frame whose pose the manifold constrains. Return the link and
+        the pose of the frame in this link. The frame is a link, the group's tip or an attached object.
         """
         scene = self._scene
         if name is None:
@@ -142,7 +144,7 @@ class ConstraintManifold:
         return name, SE3.identity()
 
     def _link(self, name: str) -> int:
-        """Return the number that a constrained link has in the constraint manifold.
+        """Return the index of a constrained link in the constraint manifold's list of links.
 
         The link's chain is computed at the first use.
         """
@@ -253,7 +255,8 @@ class ConstraintManifold:
         return self._out[:-1].copy()
 
     def violations(self, q: Array, inside: bool = False) -> list[Violation]:
-        """List the constraints that joint positions q (dof,) violate by more than a small margin (BOUNDARY).
+        """List the constraints of the manifold that joint positions q (dof,) violate by more than a small
+        margin (BOUNDARY).
 
         Args:
             inside: also list constraints that q satisfies by less than the margin.
@@ -337,8 +340,8 @@ def _corridors(names: tuple[str, ...], constraints: Constraints, scene: Planning
 
 
 def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
-    """Return the kind and the sizes [m] of a shape in a constraint region,
-    in the form that the manifold's compiled kernels need.
+    """Convert a shape of a constraint region to the kind and sizes [m] that the compiled kernels of the
+    constraint manifold take.
     """
     match shape:
         case Box():

@@ -81,8 +81,8 @@ def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
 
 @njit(cache=True)
 def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
-    """Write the Jacobian row and the residual for projecting a point into a shape of its region.
-    The direction (ga, gb, gd) of the projection is given in the frame of the shape.
+    """Write the Jacobian row and the residual for projecting a constrained point into its region, along the
+    direction (ga, gb, gd) in the frame of the region's shape.
     """
     at = n[s + 1]
     link = n[n[AT_POINTS] + point * POINT_WIDTH]
@@ -97,8 +97,8 @@ def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
 
 @njit(cache=True)
 def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
-    """Write the Jacobian row and the residual for one axis of a region's shape, if a constrained point is
-    outside the shape on this axis.
+    """Write the Jacobian row and the residual that project a constrained point back into its region along one
+    axis of the region's shape. Write nothing if the point is within the shape on this axis.
 
     The point is outside if its coordinate `value` [m] exceeds `inner` [m] in magnitude. The projection moves
     the point back along the axis.

@@ -56,8 +56,8 @@ def space_size(dof: int) -> int:
 
 
 def closest_at(dof: int) -> int:
-    """Return the position in scratch memory at which RRT-Connect with constraints stores the closest approach
-    of its two trees.
+    """Return the index in scratch memory at which constrained RRT-Connect stores the smallest distance
+    between its two trees.
 
     The closest approach is a length [rad], then its two ends.
     """
@@ -65,7 +65,8 @@ def closest_at(dof: int) -> int:
 
 
 class Steps(NamedTuple):
-    """Rules for the steps of a walk on the constraint manifold, as one argument of the kernels.
+    """Parameters of the steps that constrained RRT-Connect takes on the constraint manifold. Its compiled
+    kernels take them as one argument.
 
     Attributes:
         lower, upper: pointers to the joint limits (dof,). zeros: pointer to dof zeros.
@@ -109,8 +110,8 @@ def _sampled(n, c, x, p, a, b, step):
 
 @njit(cache=True)
 def _clear(k, p, a, out, first, end, step):
-    """Check the steps of a walk in RRT-Connect for collisions. Return the number of collision-free steps
-    before the first contact.
+    """Check consecutive steps of RRT-Connect on the constraint manifold for collisions. Return the number of
+    collision-free steps before the first contact.
 
     Step e leads from row e - 1 to row e of the walk, for e from `first` to `end` - 1; row -1 is p[a:]. Short
     steps share one block of samples.

@@ -73,7 +73,8 @@ class VisibilityManifold(ConstraintManifold):
             self._back = (0.0, 0.0)
 
     def forbids(self, q: Array) -> bool:
-        """Return whether a planner must reject joint positions q (dof,) because they violate a constraint.
+        """Return whether a planner must reject joint positions q (dof,) because they violate a visibility
+        constraint or another constraint.
 
         Positions within a small margin of a visibility constraint's limits are rejected, too. The margin is
         zero if the start or a goal would be rejected (`relax_boundary`).
@@ -132,7 +133,9 @@ class VisibilityManifold(ConstraintManifold):
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """Visibility constraint with bounds on how far each joint (dof,) can move its sensor and its target."""
+    """Visibility constraint with bounds (dof,) for each joint: how far the joint can move the constraint's
+    sensor, its target and the robot's links per unit of joint motion.
+    """
 
     constraint: VisibilityConstraint
     own: frozenset[str]  # links that are allowed in the cone

@@ -79,8 +79,8 @@ def _report_place(diagnosis: Diagnosis, request: CartesianRequest, number: int, 
 
 
 def _report_reach(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
-    """Report whether the last waypoint of a Cartesian path is out of reach, or only the straight line to it
-    is not feasible.
+    """Report whether the last waypoint of a Cartesian path is unreachable, or reachable but not along a
+    straight line from where the path stops.
     """
     path = diagnosis.result.path
     q = diagnosis.start if path is None else path.waypoints[-1]

@@ -229,8 +229,8 @@ def _each(whole: Constraints) -> Iterator[tuple[str, int, One]]:
 
 
 def without(whole: Constraints, kind: str, k: int) -> Constraints:
-    """Return a copy of the constraints of a failed request without one of them, which is given by its kind
-    and number.
+    """Return a copy of a failed request's constraints that omits one constraint, which is given by its kind
+    and index.
     """
     kept = getattr(whole, kind)
     return replace(whole, **{kind: kept[:k] + kept[k + 1 :]})

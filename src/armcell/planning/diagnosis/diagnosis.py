@@ -141,8 +141,8 @@ class Diagnosis:
             self.details.append(line)
 
     def succeeds(self, scene: PlanningScene, request: Request, seconds: float = TRY) -> PlanResult | None:
-        """Plan a changed request for a diagnosis. Return None if planning fails, the request is invalid, or
-        no time is left.
+        """Test a suggestion of a diagnosis by planning the modified request. Return None if planning fails,
+        the request is invalid, or no time is left.
         """
         if self.time_left <= 0:
             return None

@@ -120,8 +120,8 @@ def _renamed(state: JointState, wrong: str, right: str) -> JointState | None:
 
 
 def _numbers(diagnosis: Diagnosis) -> None:
-    """Correct invalid numbers in a request (misuse): suggest scaling factors, times and step sizes within
-    their ranges.
+    """Suggest valid numbers for an invalid request: scaling factors, times and step sizes within their
+    ranges.
     """
     request = diagnosis.request
     changes: dict[str, float] = {}

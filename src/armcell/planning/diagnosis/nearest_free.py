@@ -79,7 +79,7 @@ def _bisected(bad: Array, good: Array, free: Free) -> Array:
 # --- poses ---
 def _grid() -> Array:
     """Return 26 unit directions (26, 3), toward the faces, edges and corners of a cube, in which to search
-    for the nearest pose.
+    for the nearest reachable pose.
     """
     steps = np.array(np.meshgrid(*[[0, 1, -1]] * 3, indexing="ij")).reshape(3, -1).T
     steps = steps[np.any(steps != 0, axis=1)].astype(float)
@@ -93,7 +93,8 @@ ANGLES: Array = np.deg2rad(np.array([5.0, 10.0, 20.0, 40.0, 80.0, 130.0, 180.0])
 
 
 class PoseSearch:
-    """Search for the pose nearest to a given one that the robot reaches in a collision-free configuration.
+    """Search for the nearest reachable pose: the pose closest to a given pose that the robot reaches in a
+    collision-free configuration.
 
     Args:
         free: returns whether a configuration (n,) of the group is allowed.

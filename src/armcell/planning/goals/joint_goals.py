@@ -38,8 +38,8 @@ BLOCKED = 16  # positions in collision after which another posture is tried
 def find_joint_goals(
     validated: ValidatedRequest, checker: KernelChecker, rng: np.random.Generator
 ) -> tuple[tuple[Array, ...], Outcome]:
-    """Find collision-free joint positions (n,) that reach the goals of a request; those nearest to the start
-    come first.
+    """Convert the goals of a request to collision-free joint positions (n,); those nearest to the start come
+    first.
 
     Returns:
         The goals and SUCCESS; or no goals and the code, message and evidence of the last failed goal.
@@ -92,8 +92,8 @@ class _GoalFilter:
         return list(islice((q for q in positions if self.usable(q)), count))
 
     def contacts(self, q: Array) -> list[Contact]:
-        """Return the contacts at joint positions (n,) that the kernel rejects, or the nearest pair of bodies
-        if the meshes do not touch.
+        """Return the contacts at joint positions (n,) of a goal that the kernel rejects, or the nearest pair
+        of bodies if the meshes do not touch.
         """
         nearest = self.checker.exact.nearest
         return self.checker.exact.contacts(q) or [c for c in (nearest(q),) if c is not None]
@@ -203,8 +203,8 @@ DISTINCT = 1e-2  # [rad or m] goals with a smaller difference in every joint cou
 def stream_goals(
     validated: ValidatedRequest, checker: KernelChecker, known: Sequence[Array], seed: int
 ) -> Iterator[Array] | None:
-    """Yield further collision-free joint positions (n,) that reach the goals, while the search of a planner
-    is running.
+    """Convert the goals of a request to further collision-free joint positions (n,), and yield them while the
+    search of a planner is running.
 
     The positions of the request's goals alternate. Nothing is computed before the first position is
     requested. The result is None if the goals have no further positions.

@@ -48,7 +48,7 @@ EQUIVALENTS = 4  # number of positions that differ by full turns
 
 
 def is_region(goal: Goal) -> bool:
-    """Return whether a planner can sample many different joint positions for a goal.
+    """Return whether a goal allows a region of joint positions from which a planner can sample.
 
     This is the case for pose goals, constraint goals, and joint goals with a tolerance above `WIDE[0]`. All
     other joint goals specify one configuration, apart from full turns of joints.

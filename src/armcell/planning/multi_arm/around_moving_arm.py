@@ -205,8 +205,8 @@ def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointT
 
 
 class _TimelineValidity:
-    """Validity check for edges in joint space and time. Samples must be collision-free, and the clearance to
-    the moving arms must be proven.
+    """Validity check for edges in joint space and time when one arm plans around moving arms. Samples must be
+    collision-free, and the clearance to the moving arms must be proven.
     """
 
     def __init__(self, checker: KernelChecker, timeline: MovingArmTimeline, margin: float):
@@ -222,7 +222,7 @@ def _searched(
     alone: PlanningScene, timeline: MovingArmTimeline, request: PlanRequest, first: PlanResult, latest: float,
     deadline: float, cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search in joint space and time for a motion of the planned arm that avoids the moving arms.
+    """Plan one arm's motion around the moving arms by a search in joint space and time.
 
     The motion must reach a goal before time `latest` [s], as early as possible. Return a certified smooth
     motion, or None if the search finds none.
@@ -250,8 +250,8 @@ def _earliest(
     latest: float, deadline: float,
     cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search in joint space and time for the motion of the planned arm that reaches a goal earliest and
-    avoids the moving arms.
+    """Search in joint space and time for the motion of one arm around the moving arms that reaches a goal
+    earliest.
 
     Return a certified smooth motion that arrives before `latest` [s], or None. See `_searched`.
     """
@@ -299,7 +299,8 @@ def _earliest(
 
 
 def _horizon(problem: SpaceTimeProblem, timeline: MovingArmTimeline, arrivals: list[float]) -> float:
-    """Compute the latest arrival time [s] that a search around the moving arms should consider.
+    """Compute the latest arrival time [s] at a goal that the search for a motion around the moving arms
+    considers.
 
     The time suffices for a detour after the other arms have come to rest.
     """

@@ -171,8 +171,8 @@ class _SegmentBuilder:
     def build(
         self, way: ObjectPath, q: Array, checker: KernelChecker, padded: bool = False, evidence: bool = False
     ) -> CarrySegment | BlockedSegment:
-        """Build a certified motion with timing in which two arms, starting from joints q (dof,), carry an
-        object along a path.
+        """Compute a timed, certified motion of two arms that carry an object along a path. The arms start
+        from joint positions q (dof,).
 
         Args:
             padded: also keep the checker's padding.
@@ -299,7 +299,8 @@ class _DetourPlanner:
         return free[:POSTURES]
 
     def _clear(self, T: SE3, q: Array) -> tuple[SE3, Array] | None:
-        """Return the pose T of an object that two arms carry, or a pose above it that has more clearance.
+        """Choose the lowest pose with enough clearance for an object that two arms carry, among pose T and
+        poses above T. Return the pose and the joint positions (dof,).
 
         Return None if the object touches at all these poses.
         """

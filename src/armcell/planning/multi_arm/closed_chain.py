@@ -191,8 +191,7 @@ class _Tree:
 
 
 class ObjectPoseSearch:
-    """Search by RRT-Connect for a path of the object that a closed chain holds, from one object pose to
-    another.
+    """Search over object poses by RRT-Connect for a path of the object that a closed chain of two arms holds.
 
     Args:
         checker: checker of both arms' joints. q: all joints (dof,) at the start. ends: joint positions
@@ -278,7 +277,7 @@ class ObjectPoseSearch:
         return None if at is None else (at, q, arrived)
 
     def _shortened(self, poses: list[SE3]) -> list[SE3]:
-        """Shorten a path of object poses by straight shortcuts along which the arms of the closed chain can
+        """Shorten a path of object poses with straight shortcuts that the two arms of the closed chain can
         follow.
         """
         joints = self._followed(poses, self.q)

@@ -123,7 +123,8 @@ def _evenly(through: Sequence[SE3], spacing: float, radius: float) -> list[SE3]:
 def time_law(
     path: Array, way: ObjectPath, velocity: Array, acceleration: Array, max_speed: float
 ) -> tuple[Array, Array]:
-    """Compute the time law of a carried object within the joint limits and the object's speed limit.
+    """Compute the time parameterization (time law) of a carried object's path, within the joint limits and
+    the object's speed limit.
 
     Return times (m,) and shares (m,) of the path. The time law is one quintic from rest to rest; a rounded
     path is slower at its bends.

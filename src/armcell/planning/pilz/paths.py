@@ -143,8 +143,8 @@ def _no_arc(why: str, hint: str) -> Outcome:
 
 
 class Curve(Protocol):
-    """Protocol of a curve in joint space along a Pilz path, which is twice continuously differentiable
-    in s.
+    """Protocol for joint-space curves that follow a Pilz path. A curve is twice continuously differentiable
+    in the path parameter s.
     """
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
@@ -177,7 +177,8 @@ class JointLine:
 
 
 class JointSpline:
-    """Curve in joint space along a LIN or CIRC path: a cubic spline through points (k, n) at x (k,).
+    """Joint-space curve that follows a LIN or CIRC path: a cubic spline through joint positions (k, n) at
+    path parameters x (k,) in 0..1.
 
     Args:
         ends: first derivatives (2, n) at both ends, if specified.
@@ -214,8 +215,8 @@ AIMS = 4
 
 
 def solver_for(moved_frame: MovedFrame, group: str) -> IKSolver:
-    """Return an inverse kinematics solver with tight tolerances for the frame that a LIN or CIRC motion
-    moves.
+    """Return an inverse kinematics solver with tight tolerances for the frame that follows a LIN or CIRC
+    path.
     """
     return ik_solver(moved_frame.scene.model, group, moved_frame.link, EXACT)
 
@@ -228,7 +229,7 @@ def follow_path(
     goal: Array | None = None,
     stopped: Callable[[], Outcome | None] = lambda: None,
 ) -> JointSpline | Outcome:
-    """Solve inverse kinematics along the tip path of a LIN or CIRC motion, and return a curve in joint space
+    """Solve inverse kinematics along a LIN or CIRC path, and return a joint-space curve that follows the path
     over s in 0..1.
 
     Args:
@@ -303,8 +304,8 @@ def _solutions(
 
 
 def _sideways(ik: IKSolver, q: Array, wish: Array) -> Array:
-    """Project a joint step (n,) onto the null space of the Jacobian, so that the tip does not move.
-    For an arm with 6 joints, the result is zero except at singularities.
+    """Project a joint step (n,) onto the null space of the Jacobian, so that the tip stays on its LIN or CIRC
+    path. For an arm with 6 joints, the result is zero except at singularities.
     """
     J = ik.tree.jacobian(q, ik.tip_link, ik.joint_names)
     return wish - np.linalg.pinv(J, rcond=1e-4) @ (J @ wish)

@@ -30,7 +30,8 @@ class CartesianLimits:
 
     @property
     def equivalent_radius(self) -> float:
-        """Path length [m] that LIN and CIRC motions treat like a rotation by one radian.
+        """Path length [m] that LIN and CIRC motions treat like a rotation by one radian: the ratio of the
+        Cartesian speed limits.
 
         With it, a motion reaches both speed limits together.
         """

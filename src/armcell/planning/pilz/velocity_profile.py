@@ -47,8 +47,8 @@ class Trapezoid:
         return self.speed * (self.up / 2 + self.flat + self.down / 2)
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Evaluate a trapezoidal velocity profile at times (m,): the integral of the position, the position
-        and the speed.
+        """Return the time integral of the position, the position itself, and the speed of a trapezoidal
+        velocity profile at times (m,).
 
         The profile is at rest before its start and after its end.
         """
@@ -85,14 +85,17 @@ class Profile:
         return self.trapezoid.duration + self.window
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Evaluate the position, speed and acceleration of an averaged velocity profile at times (m,)."""
+        """Evaluate the position, speed and acceleration of a trapezoidal velocity profile smoothed by a
+        moving average, at times (m,).
+        """
         t = np.asarray(t, dtype=float)
         now, then = self.trapezoid.at(t), self.trapezoid.at(t - self.window)
         place, speed, acceleration = ((a - b) / self.window for a, b in zip(now, then, strict=True))
         return place, speed, acceleration
 
     def times(self) -> Array:
-        """Return the times at which a trajectory with an averaged velocity profile should have points.
+        """Return the times [s] at which to sample a trapezoidal velocity profile that is smoothed by a moving
+        average.
 
         Points are at the corners of the acceleration and, between them, at most `SAMPLE_TIME` apart.
         """

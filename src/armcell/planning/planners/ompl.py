@@ -293,7 +293,9 @@ def _solve_without_python(
 
 
 def _time_for(name: str, problem: Problem) -> float:
-    """Return how much time [s] an OMPL planner gets before its solution is read."""
+    """Return the time budget [s] of an OMPL planner: the remaining planning time, with a shorter limit for
+    asymptotically optimal planners.
+    """
     left = max(problem.deadline - time.monotonic(), 0.0)
     return min(left, ASYMPTOTIC_TIME) if name in ASYMPTOTIC else left
 

@@ -119,7 +119,7 @@ class Roadmap:
         compiled.recheck(checker.handle, self.no_room, self.graph, self.stamp, stop)
 
     def grow(self, checker: KernelChecker, lower: Array, upper: Array, blocks: int, stop) -> None:
-        """Extend a PRM roadmap: sample `blocks` times 16 configurations, and add the collision-free ones."""
+        """Extend a PRM roadmap: sample 16 * `blocks` configurations, and add the collision-free ones."""
         samples = Samples(lower, upper, self.steps, self.sample)
         compiled.grow(checker.handle, self.no_room, self.graph, self.stamp, samples, self.block, blocks, stop)
 

@@ -180,7 +180,7 @@ class UnknownPlannerError(UnknownNameError):
 
 
 def _name_in(pipeline_id: str, name: str) -> str | None:
-    """Return the name under which the registry lists a planner of a pipeline, or None if it does not."""
+    """Return a planner's name in the registry, or None if the given pipeline has no such planner."""
     table = pipelines[pipeline_id]
     return next((n for n in (name, ALIASES.get(name)) if n in table), None)
 

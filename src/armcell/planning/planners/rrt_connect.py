@@ -331,8 +331,8 @@ def unsolved_result(
 
 
 def _in_the_way(problem: Problem, closest: NDArray[np.float64]) -> list:
-    """Find the contacts that block the shortest failed connection of RRT-Connect, at its first blocked
-    configuration.
+    """Find the contacts at the first blocked configuration of the shortest connection that failed in
+    RRT-Connect.
     """
     a, b = closest
     for t in np.linspace(0.0, 1.0, max(int(np.linalg.norm(b - a) / FINE), 2)):

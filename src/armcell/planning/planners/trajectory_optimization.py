@@ -36,9 +36,7 @@ def smooth_metric(count: int) -> tuple[Array, Array]:
 
 
 def resample_path(path: Array, count: int) -> Array:
-    """Resample a path (k, n) at equal distances to count + 2 waypoints, as trajectory optimization
-    needs it.
-    """
+    """Resample a path (k, n) to count + 2 equally spaced waypoints, for trajectory optimization."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     at = np.linspace(0.0, way[-1], count + 2)
     return np.column_stack([np.interp(at, way, path[:, j]) for j in range(path.shape[1])])

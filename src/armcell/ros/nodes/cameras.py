@@ -52,7 +52,7 @@ class CameraPublisher:
             topics.publish(tf)
 
     def frames(self) -> dict[str, int]:
-        """Return how many images each camera has delivered so far, by camera name."""
+        """Return how many images of each camera have been published on the bus so far, by camera name."""
         return {topics.name: topics.delivered for topics in self._cameras}
 
     def close(self) -> None:

@@ -86,7 +86,7 @@ class CellMotions:
             self.conductor.close()
 
     def _connected(self) -> None:
-        """Prepare a live cell that has just been connected, before its first step and its first motion."""
+        """Prepare a newly connected cell before its first step and before the first motion of a client."""
 
     def _after_step(self) -> None:
         if self.live.driver.now >= self._next_look:
@@ -101,18 +101,18 @@ class CellMotions:
         return thread
 
     def close(self) -> None:
-        """Stop the running motions of a live cell and request that `run` ends."""
+        """Stop the clients' running motions and request that `run` ends."""
         self._stop.set()
         self.conductor.stop()
 
     def say(self, text: str) -> None:
-        """Report the progress of a motion to the clients of a live cell."""
+        """Report the progress of a motion to the clients of the cell."""
         logger.info("trajectory: %s", text)
 
     # --- scene and held objects ---
     def scene(self) -> PlanningScene:
-        """Return the measured scene of a live cell, including added and held objects.
-        Motions are checked against this scene.
+        """Return the measured scene against which clients' motions are checked, including added and held
+        objects.
         """
         return self.conductor.call(self.measure_scene)
 
@@ -147,8 +147,8 @@ class CellMotions:
             self._widths[reading.held] = reading.width
 
     def edit_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Apply the function `make` to the scene of a live cell.
-        Return the resulting scene, against which motions are then checked.
+        """Apply a client's change `make` to the cell's scene, and return the resulting scene. Clients'
+        motions are then checked against this scene.
 
         Raises:
             InputError: `make` raised it; the world is unchanged.
@@ -169,22 +169,22 @@ class CellMotions:
         self.conductor.call(lambda: self.live.ctx.expect_contact(body, others, expected))
 
     def queue_event(self, kind: str, text: str, **data: Any) -> None:
-        """Queue an event for the observers of a live cell and its motions."""
+        """Queue an event for the observers of the cell and of its clients' motions."""
         self.conductor.call_soon(lambda: self.live.ctx.emit(kind, text, **data))
 
     # --- motions ---
     def motions(self, joints: Iterable[str] | None = None) -> list[MotionHandle]:
-        """Return the waiting and running motions of a live cell.
-        If joints are given, return only motions of these joints.
+        """Return the waiting and running motions of the cell's clients. If joints are given, return only
+        motions of these joints.
         """
         return self.conductor.motions(joints)
 
     def stop(self) -> None:
-        """Stop all motions of a live cell, including those of other clients."""
+        """Stop all motions in the cell, including motions of other clients."""
         self.conductor.stop()
 
     def drive(self, gripper: Gripper, width: float, force: float) -> MotionHandle:
-        """Start opening or closing a gripper of a live cell and return a handle to this motion.
+        """Start opening or closing a gripper for a client of the cell, and return a handle to this motion.
 
         Args:
             gripper: the gripper.
@@ -244,9 +244,7 @@ class CellMotions:
         return self._queue_beside_others(work, trajectory)
 
     def _find(self, joints: Sequence[str], controllers: Sequence[str]) -> None:
-        """Check that the controllers that a client of the cell has named
-        for a motion move all joints of the motion.
-        """
+        """Check that the controllers selected by a client cover all joints of a motion of the cell."""
         if controllers:
             select_controllers(self.controllers, controllers, joints)
 
@@ -285,8 +283,8 @@ class CellMotions:
         )
 
     def _queue_beside_others(self, work: MotionHandle, trajectory: JointTrajectory) -> MotionHandle:
-        """Queue a motion of the cell.
-        If it conflicts with motions of other arms, first wait until enough of those arms have arrived.
+        """Queue a motion of the cell. If it conflicts with running motions of other arms, first wait until
+        enough of those motions have ended.
 
         Raises:
             InputError: the cell is closed, or too many motions wait.
@@ -354,7 +352,9 @@ class CellMotions:
 
 
 class _Announced(GuardedMotion):
-    """Motion that the motion gate certifies; the cell's observers are notified when the motion starts."""
+    """Motion of the cell that `MotionGate` checks for collisions; the cell's observers are notified when the
+    motion starts.
+    """
 
     def __init__(
         self, cell: CellMotions, trajectory: JointTrajectory, planned_in: PlanningScene | None,

@@ -232,7 +232,9 @@ def goal_error(state: JointState, trajectory: JointTrajectory) -> tuple[float, b
 
 
 class ReportedMotion(ABC):
-    """Handle to the motion of a robot that does not report progress, but only the outcome."""
+    """Handle to a motion of external controllers or a remote simulator, which report only the outcome, not
+    the progress.
+    """
 
     _outcome: Outcome | None = None
 
@@ -252,7 +254,9 @@ class ReportedMotion(ABC):
 
     @abstractmethod
     def _poll(self) -> Outcome | None:
-        """Return the outcome of the robot's motion, or None if the robot is still moving."""
+        """Return the outcome of the external controllers' or remote simulator's motion, or None during the
+        motion.
+        """
 
 
 class ControllerMotion(ReportedMotion):

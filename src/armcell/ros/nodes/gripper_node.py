@@ -138,7 +138,8 @@ def gripper_topics(model: RobotModel) -> dict[str, str]:
 
 
 class GripperMotions:
-    """Motions that open and close the grippers of a cell on the bus, and the finger contacts that they cause.
+    """Motions that open and close a cell's grippers for clients on the bus, and the finger contacts that
+    these motions cause.
 
     Args:
         live: the cell.

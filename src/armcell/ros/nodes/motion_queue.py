@@ -1,7 +1,7 @@
 """A queue that runs several motions on one driver, with one thread that advances time.
 
 Motions of different joints run in parallel. A motion that shares joints with an earlier one waits until the
-earlier one ends, and by default stops it. Only the thread that calls `turn` uses the driver.
+earlier one ends, and by default stops it. Only the thread that calls `step` uses the driver.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ STOPPED = ExecutionResult(ErrorCode.PREEMPTED, "cancelled before it began")
 
 
 class MotionHandle:
-    """Motion in the queue of the conductor.
-    It is either a function `steps`, which creates a generator, or a blocking function `job`.
+    """Motion in the motion queue. The motion is either a generator function `steps`, which runs step by step,
+    or a blocking function `job`.
 
     Attributes:
         joints: the joints of the motion; motions that share a joint never run at the same time.
@@ -64,17 +64,17 @@ class MotionHandle:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for a motion in the conductor's queue to end. Return False on timeout."""
+        """Wait up to `timeout` [s] for a motion of the motion queue to end. Return False on timeout."""
         return self._over.wait(timeout)
 
     def stop(self, why: str) -> None:
-        """Stop a motion in the conductor's queue early. The text `why` becomes part of its outcome."""
+        """Stop a motion of the motion queue early. The result of the motion then contains the text `why`."""
         if not self.cancel.is_set():
             self._why_stopped = why
         self.cancel.set()
 
     def outcome(self) -> ExecutionResult:
-        """Return the result of a motion in the conductor's queue that has finished.
+        """Return the result of a motion of the motion queue, after the motion has ended.
 
         Raises:
             InputError: the motion could not be executed as requested.
@@ -87,7 +87,7 @@ class MotionHandle:
         return result
 
     def add_done_callback(self, listener: Callable[[MotionHandle], None]) -> MotionHandle:
-        """Register a function that the driver's thread calls when this motion of the conductor has ended.
+        """Register a function that the driver's thread calls when this motion of the motion queue has ended.
 
         Call this method before the motion is queued.
         """
@@ -120,8 +120,8 @@ class MotionQueue(DriverProxy):
 
     # --- from any thread ---
     def put(self, work: MotionHandle) -> MotionHandle:
-        """Add a motion to the queue of the conductor.
-        It starts after earlier motions of the same joints have ended.
+        """Add a motion to the motion queue. The motion starts after earlier motions of the same joints have
+        ended.
 
         Raises:
             InputError: too many motions wait, or the cell is closed.
@@ -137,15 +137,15 @@ class MotionQueue(DriverProxy):
         return work
 
     def motions(self, joints: Iterable[str] | None = None) -> list[MotionHandle]:
-        """Return the waiting and running motions of the conductor.
-        If joints are given, return only motions of these joints.
+        """Return the waiting and running motions in the motion queue. If joints are given, return only
+        motions of these joints.
         """
         with self._lock:
             every = [*self._running, *self._waiting]
         return every if joints is None else [w for w in every if w.joints & frozenset(joints)]
 
     def stop(self, for_good: bool = False) -> None:
-        """Stop all waiting and running motions in the queue of the conductor.
+        """Stop all waiting and running motions in the motion queue.
 
         Args:
             for_good: if True, also reject later motions, for example of goals that are still being planned.
@@ -156,7 +156,9 @@ class MotionQueue(DriverProxy):
             work.cancel.set()
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run a function between two steps in the thread of the conductor's driver, and return its result."""
+        """Run a function in the thread that steps the motion queue, between two steps, and return the
+        function's result.
+        """
         if threading.current_thread() is self._thread:
             return function()
         answer: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
@@ -176,8 +178,8 @@ class MotionQueue(DriverProxy):
         return value
 
     def call_soon(self, function: Callable[[], None]) -> None:
-        """Schedule a function to run between two steps in the thread of the conductor's driver.
-        The call does not wait.
+        """Schedule a function to run between two steps, in the thread that steps the motion queue. The call
+        does not wait.
 
         Exceptions of the function are only logged.
         """
@@ -194,9 +196,7 @@ class MotionQueue(DriverProxy):
 
     # --- the driver's thread ---
     def step(self) -> None:
-        """Advance the driver of the conductor by one period,
-        or run one blocking job from beginning to end.
-        """
+        """Advance the motion queue's driver by one period, or run one blocking job from beginning to end."""
         self._thread = threading.current_thread()
         with self._lock:
             job = next((w for w in self._ready() if w.job is not None), None)
@@ -216,7 +216,7 @@ class MotionQueue(DriverProxy):
         self._finish(job, result, error)
 
     def advance(self, duration: float) -> None:
-        """Advance the driver of the conductor and all motions in its queue by `duration` [s]."""
+        """Advance the driver by `duration` [s], and with it all running motions of the motion queue."""
         driver, end = self._driver, self._driver.now + duration
         while driver.now < end - 1e-9:
             while not self._calls.empty():
@@ -226,7 +226,7 @@ class MotionQueue(DriverProxy):
             self._after_step()
 
     def stop_and_drain(self) -> None:
-        """Stop all motions of the conductor, step the driver until they have ended, and reject new
+        """Stop all motions in the motion queue, step the driver until the motions have ended, and reject new
         motions.
         """
         with self._lock:
@@ -237,7 +237,7 @@ class MotionQueue(DriverProxy):
             self.step()
 
     def close(self) -> None:
-        """End all motions of the conductor, release all waiting callers, and reject new motions."""
+        """End all motions in the motion queue, release all waiting callers, and reject new motions."""
         with self._lock:
             self._closed = True
             works = [*self._running, *self._waiting]
@@ -248,8 +248,8 @@ class MotionQueue(DriverProxy):
             self._calls.get()()
 
     def _ready(self) -> list[MotionHandle]:
-        """Return the waiting motions that the conductor can start,
-        because no earlier motion uses their joints.
+        """Return the waiting motions in the motion queue that can start, because no earlier motion uses their
+        joints.
         """
         taken = {joint for w in self._running for joint in w.joints}
         ready = []
@@ -278,8 +278,8 @@ class MotionQueue(DriverProxy):
                 self._finish(work, None, error)
 
     def _step_all(self) -> None:
-        """Advance every running motion of the conductor by one step. If a motion ends, motions that waited
-        for it start in the same period.
+        """Advance every running motion of the motion queue by one step. If a motion ends, start the motions
+        that waited for it, and step them too.
 
         A motion that waits for another one starts in the driver period in which the other one ends.
         """
@@ -313,8 +313,7 @@ class MotionQueue(DriverProxy):
 
 
 class _DriverForMotion(DriverProxy):
-    """View of the conductor's driver for a single motion, in which `stop` holds only the joints of this
-    motion.
+    """View of the motion queue's driver for one motion: `stop` holds only the joints of this motion.
 
     The other joints continue their motions.
     """

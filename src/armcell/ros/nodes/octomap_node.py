@@ -73,7 +73,7 @@ class OctomapNode:
             member.close()
 
     def clear(self) -> None:
-        """Remove all measurements of 3D sensors from the octomap."""
+        """Remove all measurements of 3D sensors from the octomap node's map."""
         with self._lock:
             self._map.clear()
 

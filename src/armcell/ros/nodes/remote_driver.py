@@ -265,7 +265,9 @@ class RemoteDriver(Driver):
         self._wait(FINGER_TIMEOUT, lambda: all(map(self._rests, list(self._last_widths))))
 
     def _rests(self, gripper: str) -> bool:
-        """Return whether the last joint states show that the fingers are at rest."""
+        """Return whether the last joint states from the remote robot show that the fingers of a gripper are
+        at rest.
+        """
         return self._at - self._last_widths[gripper][1] >= GRIP_TIME
 
     def _wait(self, timeout: float, is_there: Callable[[], bool]) -> None:

@@ -180,8 +180,8 @@ class _Mimics:
 
 
 def _arms(model: RobotModel) -> dict[str, tuple[str, ...]]:
-    """Return the joints of each arm, including its grippers, for a joint state topic per arm.
-    With only one arm, the result is empty.
+    """Return the joints of each arm and its grippers, by arm, for publishing a joint state topic per arm. The
+    result is empty for a single arm, which needs no separate topic.
     """
     found: dict[str, tuple[str, ...]] = {}
     for gripper in model.grippers.values():

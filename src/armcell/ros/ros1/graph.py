@@ -41,8 +41,8 @@ class Ros1Status:
 
 
 class Ros1Graph:
-    """Connection between a bus and a ROS 1 graph, from `start` (or `with`) to `close`.
-    It consists of a node and, if necessary, a master.
+    """Connection between a bus and a ROS 1 graph, which is open from `start` (or `with`) to `close`. The
+    connection consists of a node and, if necessary, a master.
 
     Args:
         on_end: called with the reason, in a thread of the node, when another node or the master requests

@@ -138,6 +138,6 @@ class Listener:
 
 
 def shut_down_socket(sock: socket.socket) -> None:
-    """Shut down a socket from which another thread reads. That thread then closes the socket."""
+    """Shut down a socket that another thread of a ROS 1 node reads. That thread then closes the socket."""
     with contextlib.suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)

@@ -151,8 +151,8 @@ def _is_empty(codec: Ros2Codec, name: str) -> bool:
 
 
 def _pairs(codec: Ros2Codec, name: str) -> list[tuple[str, str | None]]:
-    """List the fields of a ROS 2 message, each with the attribute of the bus message from which the codec
-    copies it, or with None if there is no such attribute.
+    """List the fields of a ROS 2 message as pairs (field, attribute). The codec copies the attribute of the
+    bus message to the field; the attribute is None if the bus message has none.
 
     Names match regardless of case: CameraInfo's `d` in ROS 2 is `D` on the bus.
     """

@@ -21,8 +21,8 @@ UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; further message
 
 
 class RosTcpConnection:
-    """Connection to a ROS-TCP peer, from `start` to `close`.
-    It consists of a socket, a thread that reads and a thread that writes.
+    """Connection to a ROS-TCP peer, which is open from `start` to `close`. The connection consists of a
+    socket, a reading thread and a writing thread.
 
     Args:
         on_frame: called with each frame in the reading thread.
@@ -210,7 +210,9 @@ class RosTcpConnection:
             self._over.set()
 
     def _shut(self) -> None:
-        """Shut down the socket of a ROS-TCP connection, so that blocking calls of both threads return."""
+        """Shut down the socket of a ROS-TCP connection, so that blocking calls in its reading and writing
+        threads return.
+        """
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 

@@ -34,7 +34,8 @@ Params = dict[str, Any]
 
 
 class Peer:
-    """Program at the other end of a ROS-TCP connection. The creator sets `link` and starts it afterwards.
+    """Program at the other end of a ROS-TCP connection. The code that creates a peer sets the peer's `link`,
+    and then starts the link.
 
     Args:
         address: name of the peer in logs.

@@ -32,8 +32,8 @@ def write_stl(mesh: Mesh, file: Path) -> None:
 
 
 def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
-    """Return a hull with at most `points` corners of a mesh, and its error.
-    Unity limits the number of corners of a collider.
+    """Approximate a mesh by a convex hull with at most `points` corners, and return the hull and its error
+    [m]. Unity limits the number of corners of a collider.
 
     The error is the largest distance [m] of an unused corner outside the planes of the hull's faces. The hull
     grows by the corner that is farthest outside, so it is inside the convex hull of the mesh.

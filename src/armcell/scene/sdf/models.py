@@ -155,8 +155,8 @@ class ModelReader:
         return self.root(file)
 
     def _placed(self, element: Element, placed_by: Element, name: str, scope: Scope, depth: int) -> Model:
-        """Return an SDF model with the pose from a given element,
-        which is the model itself or its <include>.
+        """Return an SDF model at the pose given by the element `placed_by`, which is the model itself or its
+        <include>.
         """
         model = self._model(element, name, depth + 1)
         pose = child(placed_by, "pose")

@@ -175,8 +175,8 @@ class _Flat:
         self._group[self._root(b)] = self._root(a)
 
     def _groups(self) -> Iterator[tuple[list[_Body], bool]]:
-        """Yield each group of rigidly connected links of an SDF model, and whether the group is fixed.
-        Each group with collision geometry becomes one object.
+        """Yield each group of rigidly connected links of a model in an SDF world, and whether the group is
+        fixed. Each group with collision geometry becomes one object.
         """
         for path, body in self.bodies.items():
             if body.static:

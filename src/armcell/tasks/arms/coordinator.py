@@ -150,7 +150,7 @@ class MotionCoordinator:
         self, ctx: ArmContext, scene: PlanningScene, wanted: JointTrajectory,
         others: Mapping[str, RunningMotion], now: float,
     ) -> tuple[str, ...]:  # fmt: skip
-        """Return the arms whose motions or poses keep an arm from starting its motion."""
+        """Return the other coordinated arms whose motions or poses keep an arm from starting its motion."""
         if len(others) == 1:
             return tuple(others)
         return tuple(n for n in others if not self._free(ctx, scene, wanted, {n: others[n]}, now))
@@ -183,7 +183,9 @@ class MotionCoordinator:
         return found if self._free(ctx, scene, found, others, ctx.driver.now) else None
 
     def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
-        """Execute a motion that the coordinator itself has planned so that an arm yields or returns."""
+        """Execute a motion that the coordinator has planned on its own: the arm moves out of the way of
+        another arm, or returns from there.
+        """
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
         ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
         motion = ctx.gate.motion(trajectory, cancel=ctx.cancel)
@@ -256,7 +258,8 @@ class MotionCoordinator:
 
     # --- zones and rendezvous ---
     def choose(self, group: str, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the first item whose zone no other coordinated arm uses, requests or approaches.
+        """Return the first remaining item whose destination zone is free: no other coordinated arm uses the
+        zone, waits for it or is heading there.
 
         If all zones are busy, return the first of all items. In both cases, the coordinator records that the
         arm approaches the zone of the returned item.

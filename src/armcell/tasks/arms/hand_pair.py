@@ -110,13 +110,13 @@ class HandPair:
         return dict(zip(self.groups, self.tree.link_poses(q, tuple(self.tips.values())), strict=True))
 
     def supports(self, scene: PlanningScene) -> tuple[str, ...]:
-        """Return the names of the bodies that support the object of a hand pair. If the hands hold the
-        object, these are the supports at the time of the grasp.
+        """Return the names of the bodies on which the object of a `HandPair` rests. While the two hands hold
+        the object, return the bodies on which it rested when the hands grasped it.
         """
         return self.hold.supports if self.hold is not None else tuple(neighbors(scene, self.item))
 
     def attached(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene in which the object of a hand pair is attached to the first hand.
+        """Return the scene in which the object that two arms hold (`HandPair`) is attached to the first hand.
 
         Contacts of both hands and of the supports with the object are allowed.
         """
@@ -177,7 +177,9 @@ class HandPair:
         correct: Callable | None = None, watch: Callable | None = None,
         evidence: Mapping[str, Any] = MappingProxyType({}), planned_in: PlanningScene | None = None,
     ) -> Outcome:  # fmt: skip
-        """Execute a trajectory of both arms of a hand pair as one stage, by means of `coupled.play`."""
+        """Execute a trajectory of the two arms that handle one object together (`HandPair`) as one stage of a
+        task, with `coupled.play`.
+        """
         report = report or StageReport(name, "cartesian")
         return play(
             self.ctx, trajectory.reindexed(self.names), report, correct, watch, evidence, self._touching,

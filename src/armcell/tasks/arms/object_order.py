@@ -71,7 +71,8 @@ def best_order(
     tours: Sequence[Callable[[Order], Tour]],
     conflicts: ConflictCache | None = None,
 ) -> tuple[Order, ...]:
-    """Return the order of objects for each arm with which all arms finish earliest.
+    """Return, for each arm, the sequence in which the arm should take its objects so that all arms finish as
+    early as possible.
 
     Args:
         tours: for each arm, computes its tour for an order.
@@ -101,7 +102,8 @@ def best_order(
 
 
 def _near(every: tuple[Order, ...]) -> Iterable[tuple[Order, ...]]:
-    """Yield the orders of objects for all arms that a local search should try next.
+    """Yield the next candidates in the local search for the best object order: one sequence of objects for
+    each arm.
 
     These are all orders if there are few, else those that differ by one change.
     """

@@ -76,8 +76,8 @@ class PickWithTwoArms(Pick):
 
 @dataclass(frozen=True, eq=False)
 class GraspPair:
-    """Pair of grasps with which two arms hold both ends of an object, and the straight approaches that both
-    arms make to them at the same time.
+    """Pair of grasps with which two arms hold an object at both ends, and the simultaneous straight
+    approaches of the arms.
     """
 
     approaches: tuple[JointTrajectory, ...]  # by arm, of equal duration
@@ -88,8 +88,8 @@ class GraspPair:
 @stage_types.register("choose_grasp_pair")
 @dataclass(frozen=True, eq=False)
 class ChooseGraspPair:
-    """Stage of a two-arm pick that proposes grasps at both ends of the object,
-    with which the arms can carry it along a route.
+    """Stage of a two-arm pick that proposes pairs of grasps, one grasp at each end of the object. With each
+    pair, the arms can carry the object along a route.
 
     Grasps with straight paths along the route come first, then grasps with detours around obstacles.
     """

@@ -60,7 +60,9 @@ class ChooseFromHeap:
 @stage_types.register("close_on_heap")
 @dataclass(frozen=True, eq=False)
 class CloseOnHeap:
-    """Stage of bin clearing that closes the hand in a heap and attaches the object between the fingers."""
+    """Stage of bin clearing that closes the hand on an object in the heap and attaches this object to the
+    hand.
+    """
 
     gripper: Gripper
     floor: float  # [m, world z] of the bin, lower bound of the object
@@ -87,8 +89,8 @@ class CloseOnHeap:
 
 
 def _below_tcp(grasp: HeapGrasp, z: float) -> float:
-    """Return the distance [m] from the TCP at a grasp down to a given height in the heap (world z),
-    for the stages of bin clearing.
+    """Return the height [m] of the TCP above the world height `z` at a grasp, for the stages of bin
+    clearing.
     """
     return float(grasp.T_object_tcp.translation[2]) - z
 
@@ -96,7 +98,7 @@ def _below_tcp(grasp: HeapGrasp, z: float) -> float:
 @stage_types.register("choose_release_point")
 @dataclass(frozen=True, eq=False)
 class ChooseReleasePoint:
-    """Stage of bin clearing that proposes the given release points over the tray, in their order.
+    """Stage of bin clearing that proposes the given release points over the tray, in the given order.
 
     A release point consists of x, y and the height of the tray's content below it.
     """

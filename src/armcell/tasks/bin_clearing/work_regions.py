@@ -117,7 +117,9 @@ def first_not_empty(
 def view_region(
     ctx: TaskContext, look: Look, region: WorkRegion, s: BinClearingSettings
 ) -> RegionView | Outcome:
-    """Take a new image of a work region and return the view, or an outcome if the image is unusable."""
+    """Take a new image of a work region for bin clearing. Return the region's height map with the visible
+    pieces, or a failure outcome if the image is unusable.
+    """
     report = StageReport(f"look {region.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
     image = look()

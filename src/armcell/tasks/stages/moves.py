@@ -116,8 +116,8 @@ def goal_data(goal: Goal) -> Any:
 def _planned(
     scene: PlanningScene, request: PlanRequest, planning: SearchState
 ) -> tuple[PlanResult, PlanRequest]:
-    """Plan the move of a stage within the CPU time of the request.
-    Return the result and the request of the last attempt.
+    """Plan the motion of a stage. After a timeout, retry while part of the requested CPU time is left. Return
+    the last result and its request.
 
     Planners stop by the wall clock, which also runs while other programs use the CPU. The remaining CPU time
     is therefore used for further attempts with other seeds.

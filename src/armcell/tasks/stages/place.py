@@ -53,7 +53,8 @@ Vector = tuple[float, float, float]
 @stage_types.register("choose_placement")
 @dataclass(frozen=True, eq=False)
 class ChoosePlacement:
-    """Stage that proposes placements of the held object which the arm reaches by a free straight descent.
+    """Stage that proposes placements of the held object, each with a collision-free straight descent of the
+    arm.
 
     The descent follows the surface normal, or the vertical if that is impossible.
     """
@@ -91,7 +92,8 @@ class ChoosePlacement:
                     yield from self._descents(solution, planning, other)
 
     def _turned(self, scene: PlanningScene, placement: Placement) -> Iterator[Placement]:
-        """Yield the placement at the angles about the surface normal that an arm with few joints reaches.
+        """Yield the placement rotated about the surface normal to each angle that an arm with few joints can
+        reach.
 
         Jaws that rotate as they close hold an object at an angle to the tool, so such an arm reaches the
         placement at few angles only.
@@ -274,7 +276,9 @@ class OpenHand:
             )
 
     def _fingers_touch(self, scene: PlanningScene) -> bool:
-        """Return whether an open finger would touch another side of the object, such as a ring's."""
+        """Return whether an open finger would touch another part of the placed object, such as the opposite
+        side of a ring.
+        """
         checker = ExactChecker(scene, self.gripper.joint_names)
         checker.set_configuration(scene.positions[checker.columns])
         bodies = [geometry.body for geometry in checker.geometries]

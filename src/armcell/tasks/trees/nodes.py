@@ -93,7 +93,8 @@ class Check(Behaviour):
 
 
 class _RecipeThread:
-    """Recipe of a behavior tree node, which is executed in a thread that runs only during calls of `step`.
+    """Thread that executes the recipe of a behavior tree node (for example a pick). The thread runs only
+    during calls of `step`.
 
     It observes its cell to follow the driver's clock.
     """

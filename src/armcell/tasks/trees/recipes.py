@@ -57,7 +57,7 @@ def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequ
 
 
 def looking(name: str, look: Look) -> Check:
-    """Return a behavior tree node that takes a camera image between recipes, to check the scene.
+    """Return a behavior tree node that takes a camera image to check the scene before the tree continues.
 
     Example: `looking("look", lambda: cell.look("above"))`.
     """
@@ -65,8 +65,8 @@ def looking(name: str, look: Look) -> Check:
 
 
 def held_node(ctx: TaskContext, item: str) -> Check:
-    """Return a behavior tree node that checks, between recipes,
-    that both the task and the gripper's sensors report an object as held.
+    """Return a behavior tree node that checks whether an object is held. Both the task and the gripper's
+    sensors must report the object as held.
     """
 
     def ask() -> Outcome:
@@ -106,8 +106,8 @@ def transferring(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None = None,
     up: Vector | None = None, look: Look | None = None, settings: RecoverySettings = RecoverySettings(),
 ) -> Behaviour:  # fmt: skip
-    """Return a behavior tree that brings an object to its goal by
-    recipes and recovers from failures, as `transfer` does.
+    """Return a behavior tree that moves an object to its goal by picking and placing, and recovers from
+    failures as `transfer` does.
 
     The tree makes up to `settings.tries` attempts. Between attempts objects come to rest and the open hand
     retreats.

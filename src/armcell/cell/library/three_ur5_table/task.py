@@ -17,7 +17,9 @@ def task(cell):
         return f"{color_of(cube)}_tray"
 
     def target(cube):
-        """The place for a cube that an arm takes from its own side."""
+        """Return where an arm places a cube from its own side: the tray for the cube's color, or the mat if
+        the arm cannot reach that tray.
+        """
         return tray_of(cube) if owner(cube) in TRAYS[color_of(cube)] else "mat"
 
     def mat_slot(cube):

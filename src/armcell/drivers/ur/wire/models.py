@@ -39,7 +39,8 @@ class UrModel:
 
     @property
     def version(self) -> tuple[int, int, int, int]:
-        """Return the software version of the emulated controller for a UR model, as four numbers.
+        """Return the controller software version of a UR model as four numbers, for emulating this
+        controller.
 
         The numbers are major, minor, bugfix and build.
         """

@@ -45,8 +45,8 @@ class Kinematics:
         )  # fmt: skip
 
     def difference(self, other: Kinematics) -> tuple[float, float]:
-        """Return the largest differences between two UR geometries from primary messages:
-        in length [m] and in angle [rad].
+        """Return the largest differences between two UR robots' Denavit-Hartenberg parameters, as reported on
+        the primary interface: in length [m] and in angle [rad].
         """
         lengths = np.abs(np.subtract((self.a, self.d), (other.a, other.d)))
         angles = np.abs(np.subtract((self.theta, self.alpha), (other.theta, other.alpha)))

@@ -163,7 +163,7 @@ class Recipe:
 
 
 def split_names(text: bytes) -> list[str]:
-    """Split the comma-separated list of variable names that an RTDE client has sent.
+    """Split the comma-separated list of variable names in an RTDE message from a client.
 
     A trailing comma, as ur_rtde sends it, is ignored.
     """

@@ -25,8 +25,8 @@ PICK, PLACE = "moveit_msgs/Pickup", "moveit_msgs/Place"
 
 
 def kind_of(value: Any) -> str:
-    """Return the type name of a ROS message without its package, e.g. "PoseStamped".
-    If the value is not a message, return an empty text.
+    """Return the type name of a ROS message without its package, e.g. "PoseStamped", or an empty string if
+    the value is not a message.
     """
     return getattr(value, "_type", "").split("/")[-1]
 

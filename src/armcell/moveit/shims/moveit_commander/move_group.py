@@ -245,7 +245,9 @@ class MoveGroupCommander(GroupSettings):
         return bool(wait_for_result(self._session, sent).error_code.val == SUCCESS)
 
     def _incomplete(self, plan: Any) -> str:
-        """Return why a plan of the MoveGroupCommander is incomplete, or an empty text if it is complete."""
+        """Return the reason why a plan of the MoveGroupCommander is incomplete, or an empty string if the
+        plan is complete.
+        """
         fraction = next((f for p, f in self._partial if p is plan), 1.0)
         if fraction <= 0:
             return "the straight line could not begin, its fraction is 0; the reason is in the line above"

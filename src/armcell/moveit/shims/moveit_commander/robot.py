@@ -49,8 +49,8 @@ class RobotCommander:
             return values[self._name] if self.variable_count() else []
 
         def move(self, position: Any, wait: bool = True) -> bool:
-            """Move only this joint of the robot, like a joint of RobotCommander.
-            The planning group that owns the joint plans the motion.
+            """Move only this joint of the robot to a position, as RobotCommander's class `Joint` does. The
+            planning group that owns the joint plans the motion.
             """
             group = self._robot.get_default_owner_group(self._name)
             if group is None:

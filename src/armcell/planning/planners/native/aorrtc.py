@@ -36,7 +36,8 @@ GAIN = 1e-3  # [rad] smallest cost reduction for another parent of a node
 
 
 class Improvement(NamedTuple):
-    """What AORRTC looks for, as one argument of its kernels: a path that is shorter than a bound.
+    """Parameters of an AORRTC search for a path that is shorter than a bound, bundled as one argument of the
+    kernels.
 
     The fields hold arrays in Python and pointers within the kernels.
 

@@ -91,7 +91,7 @@ def _clear(floats, ints, dims, f, boxes, i, leaf):
 
 @inner_njit
 def _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, source, at):
-    """Append a node to a leaf of the nearest-neighbor search that still has a free slot (SIMD lane).
+    """Append a node to a leaf of the nearest-neighbor index; the leaf must have a free slot (SIMD lane).
 
     The node's coordinates are source[at::L].
     """
@@ -164,8 +164,8 @@ def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, 
 
 @inner_njit
 def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, lanes):
-    """Return the index of the nearest neighbor of configuration q[at:]: 16 times its leaf, plus its SIMD
-    lane.
+    """Return the slot of the nearest neighbor of configuration q[at:] in the leaves. The slot is 16 times the
+    leaf number, plus the SIMD lane within the leaf.
     """
     zero, least, first = splat(np.float32(0.0)), np.float32(FAR * FAR), 0
     blocks = (leaves + L - 1) // L

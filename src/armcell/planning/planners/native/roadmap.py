@@ -32,8 +32,8 @@ VERTICES, EDGES, VERTEX_CHECKS, EDGE_CHECKS, SEARCHES, COUNTS = range(6)
 
 
 class Graph(NamedTuple):
-    """Arrays of a PRM roadmap, as one argument of its kernels. Edge e is entry 2 e at one of its vertices and
-    entry 2 e + 1 at the other.
+    """Arrays of a PRM roadmap, bundled as one argument of the kernels. Edge e has two entries in the
+    adjacency lists: entry 2 e at one of its vertices, and entry 2 e + 1 at the other.
 
     Attributes:
         nodes: float32, blocks of (dof, L) coordinates.
@@ -207,8 +207,8 @@ def grow(handle, no_room, g, stamp, samples, block, blocks, stop):
 
 @njit(cache=True, nogil=True)
 def insert(g, stamp, path, numbers, joined):
-    """Add the collision-free rows of a path (m, dof) as vertices to a PRM roadmap, and return the numbers of
-    these vertices.
+    """Add the collision-free rows of a path (m, dof) as vertices to a PRM roadmap, and write the vertices'
+    numbers to `numbers`.
 
     Args:
         joined: whether the path's edges are also known to be free.

@@ -74,7 +74,7 @@ def kronecker_steps(dof, out):
 
 
 class Query(NamedTuple):
-    """What a compiled search by RRT-Connect looks for, as one argument.
+    """Parameters of an RRT-Connect search, bundled as one argument of the compiled kernel.
 
     Attributes:
         start: (dof,). goals: (g, dof).
@@ -94,7 +94,8 @@ class Query(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Sequence of uniform samples between bounds, as one argument of the kernels; see `next_sample`.
+    """Sequence of uniform samples for RRT-Connect or PRM, bundled as one argument of the kernels; see
+    `next_sample`.
 
     Attributes:
         lower, upper: bounds of the samples. steps: see `kronecker_steps`. last: the last sample in [0, 1).
@@ -108,7 +109,7 @@ class Samples(NamedTuple):
 
 @inner_njit
 def next_sample(s, dof, q, at):
-    """Write the next sample of a sequence to q[at:]."""
+    """Draw the next sample for RRT-Connect or PRM, and write it to q[at:]."""
     for j in range(dof):
         u = s.last[j] + s.steps[j]
         s.last[j] = u - 1.0 if u >= 1.0 else u
@@ -117,8 +118,9 @@ def next_sample(s, dof, q, at):
 
 @inner_njit
 def begin_search(t, query, dof, space, found):
-    """Begin a search by RRT-Connect: make the start the root of tree 0 and the goals the roots of tree 1,
-    and begin the sequence of samples. `space` holds its steps, the last sample, and the closest approach.
+    """Begin an RRT-Connect search: the start becomes the root of tree 0, and the goals become the roots of
+    tree 1. Initialize `space`, which holds the step sizes of the sample sequence, the last sample and the
+    closest approach.
     """
     add(t, 0, pointer(query.start), 0, -1, UNLIMITED)
     for g in range(len(query.goals)):
@@ -132,8 +134,8 @@ def begin_search(t, query, dof, space, found):
 
 @inner_njit
 def write_path(t, query, dof, found, row, path):
-    """Write the path (m, dof) that a search by RRT-Connect found, with its exact ends: the trees are float32.
-    Return the number of waypoints.
+    """Write the path (m, dof) that an RRT-Connect search found, and return the number of waypoints. The trees
+    store float32; the first and last waypoints are the exact start and goal.
 
     `row` is scratch memory of dof numbers.
     """

@@ -36,7 +36,7 @@ JOINED, LEAVES, SIZES = 0, 1, 2
 
 
 class Trees(NamedTuple):
-    """Memory of two search trees, as one argument of the compiled planners.
+    """Arrays of two search trees, bundled as one argument of the compiled planners.
 
     The fields hold arrays in Python and pointers in the kernels (see `tree_pointers`). Node i of tree t is
     node t * capacity + i.
@@ -100,7 +100,7 @@ def tree_pointers(trees):
 
 @inner_njit
 def remove_nodes(t):
-    """Remove all nodes of both search trees from the leaves of the nearest-neighbor search."""
+    """Empty the leaves of both search trees, which the nearest-neighbor search uses."""
     size = SIZES + most_leaves(t.capacity) * (L + 1) + t.capacity
     for tree in range(2):
         t.leaf_ints[tree * size + JOINED] = t.leaf_ints[tree * size + LEAVES] = 0
@@ -130,8 +130,8 @@ def get(nodes, dof, i, q, at):
 
 @inner_njit
 def nearest(nodes, dof, first, count, q, at, lanes):
-    """Find the node of a native search tree that is nearest to q[at:],
-    by comparing `count` nodes beginning with node `first`.
+    """Find the node of a native search tree that is nearest to q[at:], by a linear scan of `count` nodes
+    beginning with node `first`.
 
     `first` is a multiple of L.
 
@@ -156,15 +156,15 @@ def nearest(nodes, dof, first, count, q, at, lanes):
 
 @inner_njit(forceinline=True)
 def add(t, node, q, at, parent, radius):
-    """Add the configuration q[at:] to a search tree as node number `node` of both trees' memory."""
+    """Add the configuration q[at:] to a search tree, at index `node` of the arrays that both trees share."""
     put(t.nodes, t.dims, node, q, at)
     t.parents[node], t.radii[node] = parent, radius
 
 
 @inner_njit
 def next_tree(tree, n0, n1):
-    """Choose the tree that a search on two trees extends next: they take turns, unless the other tree is
-    twice as large.
+    """Choose the search tree to extend next: alternate between the two trees, but extend the last tree again
+    if the other one is at least twice as large.
 
     Args:
         tree: the tree that was extended last. n0, n1: nodes of both trees.
