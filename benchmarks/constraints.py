@@ -33,7 +33,7 @@ from armcell.kinematics import ik_solver
 from armcell.model import load_robot
 from armcell.planning import plan
 from armcell.planning.constraints.manifold import ConstraintManifold
-from armcell.planning.constraints.planner import ConstrainedPlanner
+from armcell.planning.constraints.plan import ConstrainedPlanner
 from armcell.planning.goals.joint_goals import find_joint_goals
 from armcell.planning.planners.problem import sampling_bounds
 from armcell.planning.planners.rrt_connect import planner_of

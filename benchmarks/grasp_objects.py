@@ -29,8 +29,7 @@ from armcell.collision.coal_shapes import solid, triangle_model
 from armcell.collision.convex_decomposition import convex_pieces
 from armcell.core import SE3, Mesh
 from armcell.grasping import surface_of
-from armcell.grasping.force import needed_force
-from armcell.grasping.generators.frames import directions_around, tcp_pose
+from armcell.grasping.grasp import directions_around, needed_force, tcp_pose
 from armcell.grasping.hand_fit_kernel import cast
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel

@@ -23,7 +23,8 @@ from armcell.cell import cell_names, run_task
 from armcell.core import SE3, Box
 from armcell.kinematics import kinematic_tree
 from armcell.scene import CollisionObject, Material, PlanningScene
-from armcell.sim import SimWorld, held_object_correction
+from armcell.sim import SimWorld
+from armcell.sim import friction as held_object_correction
 
 LIMIT = 0.1  # [um/s] largest creep that passes
 DRIFT_LIMIT = 0.5  # [mm]

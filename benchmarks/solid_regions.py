@@ -27,7 +27,7 @@ from armcell.kinematics import kinematic_tree
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import PhysicsSettings
-from armcell.sim.build import build
+from armcell.sim.mujoco_model import build
 from benchmarks.grasp_objects import listed, load
 
 MESHES = 20

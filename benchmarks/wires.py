@@ -29,8 +29,8 @@ from tests.ros.unity_like import UnityLike
 
 from armcell.ros import Bus, schema
 from armcell.ros.tcp import RosTcpServer, ServerSettings
+from armcell.ros.tcp.connection import OutboxLimits
 from armcell.ros.tcp.framing import FrameReader
-from armcell.ros.tcp.outbox import OutboxLimits
 
 RATE = 30.0  # [Hz]
 TOPICS = 100

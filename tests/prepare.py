@@ -13,7 +13,7 @@ import sys
 import armcell
 from armcell.cell import run_task
 from armcell.planning import warm_up
-from armcell.planning.constraints.planner import warm_up_constraints
+from armcell.planning.constraints.plan import warm_up_constraints
 from armcell.planning.planners.aorrtc import warm_up_aorrtc
 from armcell.planning.planners.prm import warm_up_roadmap
 

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 from tests.programs import Program
 
-from armcell.campaigns import processes
+from armcell.campaigns import pool
 
 
 @pytest.fixture(autouse=True)
 def _forked_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "subprocess", SimpleNamespace(Popen=Program, PIPE=subprocess.PIPE))
+    monkeypatch.setattr(pool, "subprocess", SimpleNamespace(Popen=Program, PIPE=subprocess.PIPE))

@@ -13,7 +13,7 @@ from armcell.campaigns import CampaignSpec, Store, gate
 from armcell.campaigns.spec import checked_cell
 from armcell.campaigns.trial import Trial, row_of
 from armcell.cell import content_hashes, load, with_values
-from armcell.cli.gate_check import check_gate, gate_summary
+from armcell.cli.gate import check_gate, gate_summary
 from armcell.core import InputError
 from armcell.records import read_record
 

@@ -8,8 +8,7 @@ from scipy import stats
 
 from armcell.campaigns import CampaignSpec
 from armcell.campaigns.campaign import trial
-from armcell.campaigns.distributions import distribution
-from armcell.campaigns.sampling import BLOCK, adaptive_draw, latin_hypercube_draw, random_draw
+from armcell.campaigns.sampling import BLOCK, adaptive_draw, distribution, latin_hypercube_draw, random_draw
 from armcell.campaigns.spec import checked_cell, distributions
 from armcell.core import InputError
 

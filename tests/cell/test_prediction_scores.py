@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armcell.cell.prediction_scores import (
+from armcell.cell.grasp_predictions import (
     area_under_curve,
     leave_one_out_curve,
     leave_one_out_mean,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from armcell.cell import live_cameras, load, pictures, rendering
-from armcell.cli.camera_frames import camera_frames
+from armcell.cli.run_record import camera_frames
 from armcell.core import SE3, ArmcellError, Event
 from armcell.perception import MapSettings
 from armcell.ros import Bus

@@ -13,7 +13,7 @@ import pytest
 from tests.cli.helpers import call, cell_file, read_json
 
 from armcell.cli import doctor
-from armcell.cli.installed import EXTRAS, NEEDED
+from armcell.cli.doctor import EXTRAS, NEEDED
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 

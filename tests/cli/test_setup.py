@@ -12,7 +12,7 @@ from tests.cli.helpers import call
 from tests.model.helpers import robot
 from tests.model.test_setup_gripper import jaw_parts
 
-from armcell.cell.gripper_picture import AXES, CLOSING, PAD
+from armcell.cell.pictures import AXES, CLOSING, PAD
 
 QUICK = ("--samples", "500")
 
@@ -163,7 +163,7 @@ def test_facts_that_the_meshes_contradict_write_nothing(capsys, tmp_path):
 
 def test_a_terminal_is_asked_until_the_answer_holds(capsys, tmp_path, monkeypatch):
     answers = iter(["closes=sideways", "drive=left_finger fingers=left,l4", "end=gripper drive=l_joint", ""])
-    monkeypatch.setattr("armcell.cli.setup_gripper.is_terminal", lambda: True)
+    monkeypatch.setattr("armcell.cli.setup.is_terminal", lambda: True)
     monkeypatch.setattr("builtins.input", lambda prompt: next(answers))
     file = jaws_robot(tmp_path, '<axis xyz="0 1 0"/><mimic joint="left_finger"/>')  # both move the same way
     said = call(capsys, "setup", file, "-o", tmp_path / "cell", *QUICK)

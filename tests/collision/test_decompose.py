@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from armcell.collision import concave_decomposition, object_decomposition
+from armcell.collision import object_decomposition
 from armcell.collision.winding import winding_numbers
 from armcell.core import Mesh
 
@@ -130,7 +130,7 @@ def test_an_open_mesh_is_divided_by_axis_aligned_cuts():
 def test_the_pieces_come_from_the_disk_the_second_time(monkeypatch):
     first = object_decomposition.object_pieces(mesh_of(cup()))
     object_decomposition.object_pieces.cache_clear()
-    monkeypatch.setattr(concave_decomposition, "cut", lambda *_: pytest.fail("cut again"))
+    monkeypatch.setattr(object_decomposition, "cut", lambda *_: pytest.fail("cut again"))
     again = object_decomposition.object_pieces(mesh_of(cup()))
     assert [p.vertices.tolist() for p in again] == [p.vertices.tolist() for p in first]
 
@@ -139,10 +139,10 @@ def test_the_pieces_come_from_the_disk_the_second_time(monkeypatch):
 def test_the_budget_counts_work_and_its_end_is_reported(monkeypatch, caplog):
     solid = cup()
     vertices, faces = np.array(solid.vertices, float), np.array(solid.faces, np.int32)
-    few = [concave_decomposition.cut(vertices, faces, budget=60_000) for _ in range(2)]
-    assert 1 < len(few[0]) < len(concave_decomposition.cut(vertices, faces))
+    few = [object_decomposition.cut(vertices, faces, budget=60_000) for _ in range(2)]
+    assert 1 < len(few[0]) < len(object_decomposition.cut(vertices, faces))
     assert all((a == b).all() for a, b in zip(*few, strict=True))
-    monkeypatch.setattr(concave_decomposition.cut, "__defaults__", (60_000,))
+    monkeypatch.setattr(object_decomposition.cut, "__defaults__", (60_000,))
     object_decomposition.object_pieces(mesh_of(solid))
     assert "the mesh" in caplog.text and "cm3" in caplog.text
 
@@ -152,13 +152,13 @@ def test_a_dimple_stays_free_however_small_its_volume():
     turn = np.linspace(-np.pi / 2, 1.25, 24)
     profile = [*zip(0.04 * np.cos(turn), 0.04 * np.sin(turn), strict=True), (0.004, 0.02), (0.0, 0.018)]
     apple = trimesh.creation.revolve(np.array(profile), sections=24)
-    assert apple.volume > (1 - concave_decomposition.EXCESS) * apple.convex_hull.volume
+    assert apple.volume > (1 - object_decomposition.EXCESS) * apple.convex_hull.volume
     pieces = object_decomposition.object_pieces(mesh_of(apple))
     assert not covered(pieces, np.array([[0.0, 0.0, z] for z in (0.022, 0.03, 0.037)])).any()
     for piece in pieces:
         planes = ConvexHull(piece.vertices).equations
         height = (apple.vertices @ planes[:, :3].T + planes[:, 3]).max(axis=1)
-        assert -height.min() <= concave_decomposition.DEPTH + 1e-6
+        assert -height.min() <= object_decomposition.DEPTH + 1e-6
 
 
 def test_overlapping_solids_of_one_mesh_stay_what_they_are():

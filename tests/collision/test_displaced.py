@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armcell.collision.displacement_bound import displacement
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.motion_proof import DISPLACED, ActiveMotion, first_conflict
+from armcell.collision.motion_proof import DISPLACED, ActiveMotion, displacement, first_conflict
 from armcell.core import SE3, SO3, Box, JointTrajectory
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene

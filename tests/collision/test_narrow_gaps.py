@@ -8,8 +8,7 @@ import trimesh
 from scipy.spatial import cKDTree
 from tests.model.helpers import MBM
 
-from armcell.collision.kernel.bodies import LINK_OVERSHOOT
-from armcell.collision.kernel.narrow_gaps import narrow_gaps
+from armcell.collision.kernel.bodies import LINK_OVERSHOOT, narrow_gaps
 from armcell.kinematics import kinematic_tree
 from armcell.model import Link, load_robot
 

@@ -178,7 +178,7 @@ def _octree(full: bool) -> bytes:
     import tempfile
 
     from armcell.core import Octree
-    from armcell.scene.octree_writer import save_octree
+    from armcell.scene.octree_file import save_octree
 
     if full:
         nodes = b"".join(struct.pack("<fB", 0.85, children) for children in (1, 2, 0))
@@ -280,7 +280,7 @@ def _bag() -> bytes:
 
 
 def camera(path: Path) -> None:
-    from armcell.perception.image_files import load_image
+    from armcell.perception.camera_files import load_image
 
     np.save(path.parent / "depth.npy", np.ones((6, 8), np.float32))
     load_image(path, depth=path.parent / "depth.npy")
@@ -288,7 +288,7 @@ def camera(path: Path) -> None:
 
 def picture(path: Path) -> None:
     from armcell.core import ArmcellError
-    from armcell.perception.image_files import load_depth, load_rgb
+    from armcell.perception.camera_files import load_depth, load_rgb
 
     try:
         load_depth(path)
@@ -435,7 +435,7 @@ def _served(name: str, steps: int = 20) -> Callable[[Path], None]:
 
 def urscript(path: Path) -> None:
     """Through the script port, as a driver's program comes."""
-    from armcell.emulators.ur.programs import run_script
+    from armcell.emulators.ur.script_server import run_script
 
     servers = _controller()()
     try:

@@ -24,7 +24,7 @@ from armcell.core import SE3, SO3, ErrorCode, InputError, UnknownNameError
 from armcell.kinematics import IKSettings, NumericIK, ik_solver
 from armcell.kinematics.ik.chain import goal_in_base
 from armcell.kinematics.ik.full_turns import full_turn_equivalents
-from armcell.kinematics.ik.search import any_solution
+from armcell.kinematics.ik.numeric import any_solution
 from armcell.kinematics.ik.seeds import halton, pose_numbers
 from armcell.model import Group, RobotModel, load_robot
 

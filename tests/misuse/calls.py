@@ -24,7 +24,7 @@ from tests.misuse.samples import HUGE, LONG, by_type, is_array, misuses, sample
 
 from armcell.core import ArmcellError
 from armcell.planning import prepare_group, solve_ik
-from armcell.planning.warm_up import warm_up_ik
+from armcell.planning.first_compile import warm_up_ik
 from armcell.timing import BlendedPath
 
 PACKAGES = ("core", "model", "kinematics", "timing", "scene", "collision", "planning", "grasping",

@@ -24,7 +24,7 @@ from armcell.perception import (
     pose_error,
     save_image,
 )
-from armcell.perception.image_files import load_depth
+from armcell.perception.camera_files import load_depth
 from armcell.sim import DepthNoise
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)

@@ -13,9 +13,9 @@ from armcell.cell import load
 from armcell.core import InputError
 from armcell.ros import ActionClient, Bus, schema
 from armcell.ros.actions import GoalState
-from armcell.ros.fault_counter import FaultCounter
+from armcell.ros.convert import unit_fault
+from armcell.ros.faults import FaultCounter
 from armcell.ros.nodes import RemoteDriver
-from armcell.ros.units import unit_fault
 
 S = schema()
 STATES = "sensor_msgs/JointState"

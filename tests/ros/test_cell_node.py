@@ -13,7 +13,7 @@ from armcell.kinematics import kinematic_tree
 from armcell.ros import ActionClient, Bus, GoalState, schema
 from armcell.ros.codec import ros1_codec
 from armcell.ros.nodes import CellNode
-from armcell.ros.nodes.arm_status import ArmStatusPublisher
+from armcell.ros.nodes.state_publisher import ArmStatusPublisher
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 
 TRAJECTORY = "trajectory_msgs/JointTrajectory"

@@ -10,8 +10,8 @@ from tests.ros.helpers import random_message
 
 from armcell.core import UnknownNameError
 from armcell.ros.codec import cdr_codec, ros1_codec
-from armcell.ros.csharp_generator import NOT_SHIPPED, csharp_class, generate_csharp, namespace, write
 from armcell.ros.definitions import nested_types
+from armcell.ros.message_generators import NOT_SHIPPED, csharp_class, generate_csharp, namespace, write
 from armcell.ros.schema import schema
 
 SHIPPED = (

@@ -10,7 +10,7 @@ from armcell.kinematics import kinematic_tree
 from armcell.model import load_urdf
 from armcell.model.srdf import with_srdf_text
 from armcell.ros import Bus
-from armcell.ros.nodes.robot_description import publish_robot_description
+from armcell.ros.robot_description import publish_robot_description
 
 
 @pytest.mark.parametrize("cell", ["panda_table", "dual_ur10"])

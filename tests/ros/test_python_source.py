@@ -8,8 +8,7 @@ from tests import programs
 
 import armcell
 from armcell.core import UnknownNameError
-from armcell.ros.csharp_generator import write
-from armcell.ros.python_generator import generate_python
+from armcell.ros.message_generators import generate_python, write
 from armcell.ros.schema import schema
 
 USE = """

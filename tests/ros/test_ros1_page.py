@@ -12,7 +12,7 @@ from tests import programs
 
 import armcell
 from armcell.ros.ros1 import header, settings, subscription, xmlrpc
-from armcell.ros.ros1.listener import MAX_CONNECTIONS
+from armcell.ros.ros1.sockets import MAX_CONNECTIONS
 
 PAGE = Path(__file__).parents[2] / "docs" / "ros1.md"
 

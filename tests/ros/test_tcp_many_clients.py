@@ -55,7 +55,7 @@ def test_a_stalled_client_delays_nobody_and_its_queue_stays_bounded(bus):
 
 def test_a_client_that_asks_without_reading_is_given_up(bus, monkeypatch):
     from armcell.ros.tcp import server as module
-    from armcell.ros.tcp.outbox import OutboxLimits
+    from armcell.ros.tcp.connection import OutboxLimits
 
     monkeypatch.setattr(
         module, "OutboxLimits", lambda messages: OutboxLimits(messages, control_bytes=1 << 20)

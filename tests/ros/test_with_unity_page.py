@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tests.ros.test_csharp import CONNECTOR, HANDWRITTEN
 
-from armcell.ros.csharp_generator import generate_csharp, write
+from armcell.ros.message_generators import generate_csharp, write
 from armcell.ros.schema import schema
 
 PAGE = Path(__file__).parents[2] / "docs" / "with_unity.md"

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from armcell.core import InputError, PointCloud
-from armcell.scene.point_cloud_file import load_obstacle, load_points
+from armcell.scene.point_clouds import load_obstacle, load_points
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3))
 

@@ -13,8 +13,7 @@ import pytest
 
 from armcell.core import InputError, Octree
 from armcell.scene.octomap import OccupancyMap, SensorModel, log_odds
-from armcell.scene.octree_file import load_octree
-from armcell.scene.octree_writer import octree_bytes, save_octree
+from armcell.scene.octree_file import load_octree, octree_bytes, save_octree
 
 RESOLUTION = 0.05
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from tests.sim.helpers import Grasping
 
-from armcell.sim import PhysicsSettings, held_object_correction
+from armcell.sim import PhysicsSettings
+from armcell.sim import friction as held_object_correction
 
 PLAIN = PhysicsSettings(holding_impratio=10.0)
 

@@ -13,7 +13,7 @@ from armcell.core import SE3
 from armcell.model import Gripper, MountedRobot, compose, load_robot
 from armcell.scene import PlanningScene
 from armcell.sim import SimWorld
-from armcell.sim.build import build
+from armcell.sim.mujoco_model import build
 
 
 def written(tmp_path, text):

@@ -14,8 +14,8 @@ from armcell.core import SE3, SO3, ArmcellError, Box, Cone, Cylinder
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
-from armcell.sim.build import build
 from armcell.sim.model_pool import ModelLease, lease_model
+from armcell.sim.mujoco_model import build
 
 SETTINGS = PhysicsSettings()
 SHAPES = {

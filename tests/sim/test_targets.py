@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armcell.sim import JointTargets
-from armcell.sim.joint_targets import AHEAD
+from armcell.sim.servo import AHEAD
 
 STEP = 0.002
 

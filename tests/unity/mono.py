@@ -11,7 +11,7 @@ import pytest
 from tests.ros.test_csharp import CONNECTOR, HANDWRITTEN, SHIPPED
 
 from armcell.ros.codec import cdr_codec, ros1_codec
-from armcell.ros.csharp_generator import NOT_SHIPPED, generate_csharp, write
+from armcell.ros.message_generators import NOT_SHIPPED, generate_csharp, write
 from armcell.ros.schema import schema
 
 PACKAGE = Path(__file__).parents[2] / "unity"

@@ -14,7 +14,7 @@ from armcell.core import SE3
 from armcell.kinematics import kinematic_tree
 from armcell.planning import pipelines
 from armcell.viewer import PlanningPanel, PlanningSession
-from armcell.viewer.ghost import GREY
+from armcell.viewer.motion_preview import GREY
 
 DOWN = (np.pi, 0.0, 0.0)
 

@@ -10,11 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
-from armcell.campaigns.distributions import Distribution
 from armcell.campaigns.gate import changed_parts
-from armcell.campaigns.pool import Pool, Workers
-from armcell.campaigns.processes import Processes, cores
-from armcell.campaigns.sampling import ROUND, Array, adaptive_draw, latin_hypercube_draw, random_draw
+from armcell.campaigns.pool import Pool, Processes, Workers, cores
+from armcell.campaigns.sampling import (
+    ROUND,
+    Array,
+    Distribution,
+    adaptive_draw,
+    latin_hypercube_draw,
+    random_draw,
+)
 from armcell.campaigns.spec import CampaignSpec, checked_cell, distributions
 from armcell.campaigns.statistics import success
 from armcell.campaigns.store import Store

@@ -23,8 +23,7 @@ from typing import Any
 
 from armcell import _interrupts
 from armcell.campaigns.gate import changed_parts
-from armcell.campaigns.pool import Answer, Worker, Workers
-from armcell.campaigns.processes import ONE_THREAD, cores
+from armcell.campaigns.pool import ONE_THREAD, Answer, Worker, Workers, cores
 from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.trial import Trial, run_trial
 from armcell.campaigns.worker import cell_of

@@ -9,7 +9,7 @@ from itertools import permutations
 from pathlib import Path
 from typing import Any
 
-from armcell.campaigns.distributions import Distribution, Uniform, distribution, ends
+from armcell.campaigns.sampling import Distribution, Uniform, distribution, ends
 from armcell.cell import Cell, load
 from armcell.cell.value_overrides import split_path, with_values
 from armcell.core import InputError, UnknownNameError

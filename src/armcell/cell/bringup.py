@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from armcell.cell.cell import Cell
+from armcell.cell.cell import Cell, with_geometry
 from armcell.cell.live import LiveCell
-from armcell.cell.robot_calibration import with_geometry
 from armcell.core import ArmcellError, CartesianRequest, InputError, JointGoal, JointState, PlanRequest
 from armcell.core.gc_pauses import gc_frozen
 from armcell.drivers.real import RobotIdentity, identify_all, kind_of, real_settings

@@ -1,6 +1,7 @@
-"""`Cell`, a loaded cell: robot, objects, task and settings.
+"""`Cell`, a loaded cell: robot with calibration, objects, task, settings and disturbances.
 
-`Cell.connect` returns a `LiveCell`.
+`Cell.connect` returns a `LiveCell`. The block `disturbances` of the cell file is converted to SI units.
+`real: {calibration: apply}` applies the robots' factory calibration to the cell's model.
 """
 
 from __future__ import annotations
@@ -15,19 +16,17 @@ import numpy as np
 
 from armcell.cell.cameras import camera_of, decal_of
 from armcell.cell.controllers import controllers_of
-from armcell.cell.disturbances import disturbances_of
 from armcell.cell.dropped_objects import drop_objects
 from armcell.cell.live import LiveCell
 from armcell.cell.objects_file import object_of, screwed
 from armcell.cell.perceived_objects import DetectedPoses, PerceivingDriver
-from armcell.cell.robot_calibration import with_robot_calibration
 from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec
 from armcell.cell.twin import twin_guard
 from armcell.core import SE3, SO3, InputError, Observer, UnknownNameError
 from armcell.core.checks import settings_from
 from armcell.drivers import DriverOptions, drivers
-from armcell.drivers.disturbances import Disturbances
-from armcell.drivers.disturbed_sim import DisturbedSim
+from armcell.drivers.disturbed_sim import Displacement, Disturbances, DisturbedSim, Push
+from armcell.drivers.real import RealSettings, RobotIdentity, identify_all, kind_of, real_settings
 from armcell.model import MountedRobot, RobotModel, compose, load_ompl_planning, load_robot
 from armcell.model.loader import xacro_texts
 from armcell.perception import Sensors3d, load_sensors_3d
@@ -36,6 +35,77 @@ from armcell.sim import Camera, Decal, PhysicsSettings
 from armcell.sim.gain_files import with_gains_file
 from armcell.sim.joint_gains import check_joint_gains
 from armcell.tasks import TaskSettings, make_stage
+
+
+def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbances:
+    """Return the disturbances of the simulated robot that a cell file defines, in SI units.
+
+    Raises:
+        UnknownNameError: a joint, link or object does not exist.
+        InputError: a pushed object is fixed, or a moved object is screwed into another object.
+    """
+    given = spec.disturbances
+    fingers = {name for g in model.grippers.values() for name in g.joint_names}
+    turning = [n for n in model.joint_names if n not in fingers and model.joints[n].type != "prismatic"]
+    for name in given.joint_offset_deg:
+        if name not in turning:
+            place = "disturbances/joint_offset_deg"
+            raise UnknownNameError("turning joint of an arm", name, turning, file=file, element=place)
+    movable = [name for name, item in spec.objects.items() if item.movable]
+    for name, push in given.pushes.items():
+        if push.on in model.links or push.on in movable:
+            continue
+        place = f"disturbances/pushes/{name}"
+        if push.on in spec.objects:
+            raise InputError(
+                f"the object {push.on!r} is fixed", file=file, element=place, hint="give it 'movable: true'"
+            )
+        raise UnknownNameError("link or object", push.on, [*model.links, *movable], file=file, element=place)
+    for name in given.moved:
+        place = f"disturbances/moved/{name}"
+        if name not in spec.objects:
+            raise UnknownNameError("object", name, spec.objects, file=file, element=place)
+        if (thread := spec.objects[name].thread) is not None:
+            reason, hint = f"the object is screwed into {thread.into!r}", "move that, or push this"
+            raise InputError(reason, file=file, element=place, hint=hint)
+    return Disturbances(
+        {name: float(np.deg2rad(value)) for name, value in given.joint_offset_deg.items()},
+        float(np.deg2rad(given.joint_noise_deg)),
+        given.latency,
+        tuple(Push(push.on, push.at, push.duration, push.force) for push in given.pushes.values()),
+        tuple(Displacement(n, m.at, m.by, float(np.deg2rad(m.turn_deg))) for n, m in given.moved.items()),
+    )
+
+
+def with_robot_calibration(scene: PlanningScene, real: dict) -> PlanningScene:
+    """Return a cell's scene. It uses the calibrated kinematics of the robots if the cell file requests them.
+
+    Raises:
+        InputError: a robot does not answer, is another robot than named in the cell file, or its kinematics
+            do not fit the model.
+    """
+    settings = real_settings(real, scene.model)
+    if settings.calibration != "apply":
+        return scene
+    return replace(scene, model=with_geometry(scene.model, settings, identify_all(settings)))
+
+
+def with_geometry(
+    model: RobotModel, settings: RealSettings, found: Mapping[str, RobotIdentity]
+) -> RobotModel:
+    """Return a cell's model with calibrated kinematics for every arm whose robot has been identified.
+
+    Args:
+        found: the identities of the robots, by planning group.
+    Raises:
+        InputError: an arm is another robot than named in the cell file, or does not fit the model.
+    """
+    for group, identity in found.items():
+        arm = settings.arms[group]
+        kind_of(arm).check_identity(group, arm, identity)
+        model = kind_of(arm).calibrated(model, group, identity)
+    return model
+
 
 T = TypeVar("T")
 

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.cell.grasp_predictions import Prediction, predictions
+from armcell.cell.grasp_predictions import Prediction, predictions, scores
 from armcell.cell.live import LiveCell
-from armcell.cell.prediction_scores import scores
 from armcell.core import SE3, SO3, Box, ErrorCode, InputError, Mesh, Outcome
 from armcell.core.confidence_interval import wilson
 from armcell.drivers import DriverOptions, drivers

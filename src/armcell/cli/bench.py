@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from armcell.cli import bench_dual, bench_grasp, bench_ik, bench_mbm, bench_timing
-from armcell.cli.robot_options import robot_options
+from armcell.cli.common_options import robot_options
 
 app = typer.Typer(help="Measure armcell.", no_args_is_help=True, rich_markup_mode=None)
 app.command("mbm")(bench_mbm.mbm)

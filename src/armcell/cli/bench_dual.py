@@ -84,7 +84,7 @@ def dual_scene():
     and a table with one box for each gripper.
     """
     from armcell.model import load_robot
-    from armcell.model.multi_robot import MountedRobot, compose
+    from armcell.model.composition import MountedRobot, compose
     from armcell.scene import CollisionObject, PlanningScene
 
     robot = load_robot("ur10_gripper")

@@ -111,9 +111,9 @@ def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray],
     """Return a function that runs only the compiled part of an IK solver
     on a pose T_root_tip (4, 4), for the IK benchmark.
     """
+    from armcell.kinematics.ik.analytic import BRANCHES, ur_branches
     from armcell.kinematics.ik.chain import goal_in_base
-    from armcell.kinematics.ik.search import any_solution
-    from armcell.kinematics.ik.ur import BRANCHES, ur_branches
+    from armcell.kinematics.ik.numeric import any_solution
 
     chain, seeds, geometry = solver.chain_data.chain, solver.chain_data.seeds, solver.chain_data.geometry
     at, goal, found = reference[solver.columns], np.empty(12), np.empty((BRANCHES, len(solver.columns)))

@@ -11,8 +11,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from armcell import _interrupts
-from armcell.cli.console import check_writable, console, errors, write_json
-from armcell.cli.server_addresses import print_addresses
+from armcell.cli.console import check_writable, console, errors, print_addresses, write_json
 from armcell.core import InputError
 
 EXAMPLES = """

@@ -1,4 +1,4 @@
-"""Console output of the commands: text, tables and JSON files."""
+"""Console output of the commands: text, tables, JSON files, and the addresses of servers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from armcell.core import InputError
+from armcell.core.network_endpoints import Endpoint
 
 PIPE_WIDTH = 400
 """Line width without a terminal: programs that read a pipe need whole lines."""
@@ -81,3 +83,11 @@ def stage_table(result: dict[str, Any]) -> Table:
             style=None if stage["ok"] else "red",
         )
     return table
+
+
+def print_addresses(endpoints: Iterable[Endpoint], to: Console = console) -> None:
+    """Print the addresses on which a command's server listens,
+    e.g. `listening on tcp 127.0.0.1:10000 (ROS-TCP), ...`.
+    """
+    found = ", ".join(str(endpoint) for endpoint in endpoints)
+    to.print(f"listening on {found or 'no port'}", markup=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""`armcell doctor`: find faults of the installation, a cell or an endpoint, with hints."""
+"""`armcell doctor`: find faults of installation, packages, endpoint, cell and arm drives, with hints."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import platform
 import socket
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import typer
 from rich.markup import escape
 from rich.table import Table
@@ -20,9 +21,41 @@ from rich.table import Table
 from armcell import __version__, _cache
 from armcell.cli import goal_options
 from armcell.cli.console import console
-from armcell.cli.doctor_finding import NO, NOTE, OK, Finding
-from armcell.cli.installed import EXTRAS, NEEDED
-from armcell.core import InputError
+from armcell.core import ArmcellError, InputError
+
+OK, NO, NOTE = "ok", "no", "note"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Line with the result of one check by `armcell doctor`.
+
+    Attributes:
+        verdict: "ok", "no" (fault) or "note" (information).
+        check: name of the check.
+        found: the result in words; for a fault, with the hint.
+    """
+
+    verdict: str
+    check: str
+    found: str
+
+
+NEEDED = (
+    "coal", "example-robot-data", "lxml", "matplotlib", "mcap", "mujoco", "networkx", "numba", "numpy",
+    "ompl", "pillow", "pycollada", "pydantic", "pyyaml", "rich", "rosbags", "ruckig", "scipy", "trimesh",
+    "typer", "viser",
+)  # fmt: skip
+EXTRAS = {
+    "vision": ("opencv-python-headless",),
+    "ik": ("eaik",),
+    "ros2": ("cyclonedds",),
+    "trees": ("py_trees",),
+    "ray": ("ray",),
+    "ur-rtde": ("ur_rtde",),
+    "franka": ("franky-control",),
+}
+
 
 PORTS = {10000: "Unity (ROS-TCP)", 11311: "ROS 1 master", 8080: "viewer"}
 PATIENCE = 3.0  # [s] to connect
@@ -177,7 +210,6 @@ def check_cell(name: str) -> Iterator[Finding]:
     """
     from armcell.cell import load
     from armcell.cli.check import findings
-    from armcell.cli.doctor_drives import check_drives
     from armcell.cli.doctor_package import check_package
     from armcell.model.setup import is_moveit_config
 
@@ -270,3 +302,59 @@ def controllers(model: Any) -> Iterator[Finding]:
         yield Finding(
             NO, "controllers", "the robot has no arm: give it a planning group that is a chain (SRDF)"
         )
+
+
+JUMP = 0.05  # [rad or m] step of each joint's target, in turn
+TIME = 1.0  # [s] time to follow the step
+MOST_OFF = 0.2  # largest error at the end, as share of the step
+MOST_OVER = 0.5  # largest overshoot, as share of the step
+FINER = (0.005, 0.002, 0.001, 0.0005)  # [s] physics time steps to try if the cell's own fails
+
+
+def check_drives(loaded: Any) -> Iterator[Finding]:
+    """Check, for `armcell doctor`, how well the arm joints follow a small step in the physics simulation.
+
+    The check uses the cell's time step and gains. If the joints do not follow, finer time steps show whether
+    the time step or the gains are the cause.
+    """
+    scene, physics = loaded.scene(), loaded.physics
+    step = physics.timestep
+    text, sound = _followed(scene, physics)
+    if sound:
+        yield Finding(OK, "physics step", f"{1e3 * step:g} ms: {text}")
+        return
+    for finer in (s for s in FINER if s < step):
+        if _followed(scene, replace(physics, timestep=finer))[1]:
+            hint = f"with {1e3 * finer:g} ms they follow: write `timestep: {finer:g}` under `physics:`"
+            yield Finding(NO, "physics step", f"{1e3 * step:g} ms is too coarse: {text}; {hint}")
+            return
+    gains = f"arm_kp {physics.arm_kp:g}, arm_kv {physics.arm_kv:g}"
+    gains += f", joint_gains of {', '.join(physics.joint_gains)}" if physics.joint_gains else ""
+    hint = f"look at the gains under `physics:` ({gains}), and at efforts, masses and inertias in the URDF"
+    yield Finding(NO, "drives", f"{text}, with a finer step as well: {hint}")
+
+
+def _followed(scene: Any, physics: Any) -> tuple[str, bool]:
+    """Describe, for `armcell doctor`, the step response of the joint that follows a step least accurately,
+    and return whether it is acceptable.
+    """
+    from armcell.sim.step_response import step_responses
+
+    fingers = {name for g in scene.model.grippers.values() for name in g.joint_names}
+    worst, text = -1.0, "no joint has room to move"
+    for joint in scene.model.joint_names:
+        if joint in fingers:
+            continue
+        try:
+            (found,) = step_responses(scene, (joint,), physics, JUMP, TIME)
+        except InputError:  # the joint limits leave no range for the step
+            continue
+        except ArmcellError as error:
+            return f"{joint}: {error}", False
+        off = found.final_error / JUMP
+        badness = max(off / MOST_OFF, found.overshoot / MOST_OVER)
+        if badness > worst:
+            worst = badness
+            over = f"{found.overshoot:.0%} beyond on the way"
+            text = f"{joint} is off by {off:.0%} of a jump of {JUMP:g} after {TIME:g} s, {over}"
+    return text, bool(np.isfinite(worst) and worst <= 1.0)

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from armcell.cli.doctor_finding import NO, OK, Finding
+from armcell.cli.doctor import NO, OK, Finding
 from armcell.core import InputError, UnknownNameError
 from armcell.model import MoveItConfig
 

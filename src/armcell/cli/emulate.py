@@ -1,14 +1,36 @@
-"""`armcell emulate`: emulated controllers for all real arms of a cell, of one or several vendors."""
+"""`armcell emulate`: emulated controllers for a cell's real arms; execution of any vendor's emulators."""
 
 from __future__ import annotations
 
+import os
+from contextlib import suppress
 from pathlib import Path
+from typing import IO, Any
 
 import typer
 
-from armcell.cli.console import console
-from armcell.cli.emulator import run_emulator
-from armcell.cli.server_addresses import print_addresses
+from armcell.cli.console import console, print_addresses
+from armcell.core.gc_pauses import gc_frozen
+
+
+def run_emulator(rack: Any, trace: IO[bytes] | None) -> None:
+    """Run the emulators of controllers (UR, Franka) that a command has created, until a signal ends them.
+
+    Args:
+        rack: an `emulators.rack.Rack` whose ports are open.
+        trace: file for the record of every control step, or None.
+    """
+    console.print("an emulator, not a robot; Ctrl-C ends it")
+    with suppress(PermissionError, AttributeError):  # a controller must not be late on a busy machine
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(12))
+    try:
+        with gc_frozen():
+            rack.run()
+    finally:
+        rack.close()
+        if trace is not None:
+            trace.close()
+
 
 EXAMPLES = """
 Examples:

@@ -78,7 +78,7 @@ def explain(
         json_file, {**data, "possible": explanation.code.ok, "explanation": explanation.as_dict()}
     )
     if view:
-        from armcell.cli.view_option import show
+        from armcell.cli.page import show
 
         show(scene, None, explanation, PageAddress(host, port, allow_host), loaded.name)
     return 0 if explanation.code.ok else 1

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import typer
 
+from armcell.cli.common_options import robot_options
 from armcell.cli.console import console, err
-from armcell.cli.robot_options import robot_options
 
 app = typer.Typer(
     help="Write a cell for other programs: Unity, or anything that reads URDF.", no_args_is_help=True

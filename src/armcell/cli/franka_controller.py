@@ -7,9 +7,8 @@ from pathlib import Path
 
 import typer
 
-from armcell.cli.console import console
-from armcell.cli.emulator import run_emulator
-from armcell.cli.server_addresses import print_addresses
+from armcell.cli.console import console, print_addresses
+from armcell.cli.emulate import run_emulator
 from armcell.core import ArmcellError, InputError
 
 EXAMPLES = """
@@ -58,7 +57,7 @@ def franka_controller(
         scene_without_cell,
         torque_world,
     )
-    from armcell.emulators.shared_world import SharedWorld
+    from armcell.emulators.rack import SharedWorld
 
     if cell is None:
         world = torque_world(scene_without_cell())

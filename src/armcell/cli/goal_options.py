@@ -18,7 +18,7 @@ from armcell.core import (
     PlanRequest,
     PoseGoal,
 )
-from armcell.core.explanation import to_json_types
+from armcell.core.results import to_json_types
 
 CELL = typer.Argument(..., help="Built-in cell (see `armcell cells`), folder with cell.yaml, or YAML file.")
 TO = typer.Option(None, "--to", metavar="NAME", help="Named state of the group, e.g. home.")

@@ -1,10 +1,15 @@
-"""The entry point of `armcell`; errors are one line, with a traceback if ARMCELL_DEBUG=1."""
+"""The entry point of `armcell`: one-line errors, and `--help` with the commands under headings.
+
+Errors have a traceback if ARMCELL_DEBUG=1. Headings and commands are in the order of their registration.
+"""
 
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from armcell import __version__, _interrupts
 from armcell.cli import (
@@ -39,11 +44,29 @@ from armcell.cli import (
     ur_controller,
     view,
 )
-from armcell.cli.command_groups import SectionedGroup
+from armcell.cli.common_options import robot_options
 from armcell.cli.console import err
-from armcell.cli.robot_options import robot_options
-from armcell.cli.script_connections import UnityCommand
+from armcell.cli.script import UnityCommand
 from armcell.core import ArmcellError
+
+
+class SectionedGroup(TyperGroup):
+    """Group of Typer commands whose `--help` lists each command under
+    the heading in its `rich_help_panel`.
+    """
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        shown = [(name, c) for name, c in commands if c is not None and not c.hidden]
+        room = formatter.width - 6 - max(len(name) for name, _ in shown)
+        headings: dict[str, list[tuple[str, str]]] = {}
+        for name, command in shown:
+            heading = getattr(command, "rich_help_panel", None) or "Commands"
+            headings.setdefault(heading, []).append((name, command.get_short_help_str(room)))
+        for heading, rows in headings.items():
+            with formatter.section(heading):
+                formatter.write_dl(rows)
+
 
 EXAMPLES = """
 Examples:

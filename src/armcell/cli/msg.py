@@ -73,9 +73,9 @@ def generate(
     folder: Path | None = FROM,
 ) -> None:
     """Generate message classes: in C# for Unity's ROS-TCP-Connector, in Python for scripts and editors."""
-    from armcell.ros.csharp_generator import NOT_SHIPPED, write
-    from armcell.ros.csharp_generator import generate_csharp as csharp_files
-    from armcell.ros.python_generator import generate_python as python_files
+    from armcell.ros.message_generators import NOT_SHIPPED, write
+    from armcell.ros.message_generators import generate_csharp as csharp_files
+    from armcell.ros.message_generators import generate_python as python_files
 
     schema = _schema(folder)
     if csharp is None and python is None:

@@ -31,8 +31,7 @@ def new(
 ) -> int:
     """Write a new, commented cell that runs at once, with a table, an object, a camera and a task."""
     from armcell.core import InputError
-    from armcell.model.known_robots import robot_names
-    from armcell.model.loader import load_robot
+    from armcell.model.loader import load_robot, robot_names
     from armcell.model.setup import check_folder
 
     check_folder(folder, force)

@@ -1,14 +1,16 @@
-"""Options of the web pages that commands serve, and the output of the page's address."""
+"""Web pages of commands: options, output of the address, and `--view` of motions and explanations."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+import sys
+import time
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import typer
 
 from armcell import _interrupts
-from armcell.cli.console import console
-from armcell.cli.server_addresses import print_addresses
+from armcell.cli.console import console, print_addresses
+from armcell.core import Explanation, JointState, JointTrajectory, StateSample
 
 if TYPE_CHECKING:
     from armcell.viewer.server import PageServer
@@ -53,3 +55,34 @@ def serve_page(page: PageServer, open_browser: bool) -> NoReturn:
         webbrowser.open(page.url)
     while True:
         _interrupts.sleep(3600)
+
+
+FRAME = 1 / 30  # [s]
+
+
+def show(
+    scene: Any,
+    trajectory: JointTrajectory | None,
+    explanation: Explanation | None,
+    at: PageAddress,
+    title: str,
+) -> None:
+    """Show a trajectory (once, in real time) or an explanation in the browser, for the option `--view`.
+    Then wait for Enter.
+    """
+    from armcell.viewer import CellViewer, show_explanation
+
+    with CellViewer(scene, title=title, **at._asdict()) as viewer:
+        print_page_address(viewer.page)
+        if explanation is not None:
+            show_explanation(viewer, scene, explanation)
+        if trajectory is not None:
+            viewer.on_trajectory(0.0, trajectory)
+            began = time.monotonic()
+            while (t := time.monotonic() - began) < trajectory.duration + FRAME:
+                state = JointState(trajectory.joint_names, trajectory.sample(t)[0])
+                viewer.on_state(StateSample(t, state))
+                _interrupts.sleep(FRAME)
+        if sys.stdin.isatty():
+            console.print("press Enter to end")
+            sys.stdin.readline()

@@ -78,7 +78,7 @@ def plan(
         )
     goal_options.save(json_file, data)
     if view:
-        from armcell.cli.view_option import show
+        from armcell.cli.page import show
 
         at = PageAddress(host, port, allow_host)
         show(scene, result.trajectory if result.ok else None, explanation, at, loaded.name)

@@ -9,7 +9,7 @@ import typer
 
 from armcell.cli.console import check_writable, console, err, write_json
 from armcell.cli.page import ALLOW_HOST, HOST, OPEN, PORT, serve_page
-from armcell.cli.results import write_result_files
+from armcell.cli.run_record import write_result_files
 
 REPLAY_EXAMPLES = """
 Examples:

@@ -31,7 +31,7 @@ def robots(
 
 
 def _list() -> None:
-    from armcell.model.known_robots import known_robot, robot_names
+    from armcell.model.loader import known_robot, robot_names
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("robot", "ready", "source"):

@@ -58,7 +58,7 @@ def join(
     Raises:
         InputError: there is no master, or the address cannot be used.
     """
-    from armcell.ros.nodes.robot_description import NAME
+    from armcell.ros.robot_description import NAME
     from armcell.ros.ros1 import from_environment
     from armcell.ros.transports import Ros1Transport
 

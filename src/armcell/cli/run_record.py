@@ -1,4 +1,4 @@
-"""Recording of a run: the run folder, pictures of key moments, and camera frames."""
+"""Recording of a run: run folder, pictures, camera frames (`--frames`), result and report files."""
 
 from __future__ import annotations
 
@@ -12,11 +12,119 @@ from typing import Any
 
 import typer
 
-from armcell.cli.camera_frames import camera_frames
-from armcell.cli.console import err
-from armcell.cli.gate_check import gate_summary, warn_without_twin
-from armcell.cli.results import write_result_files
-from armcell.core import ArmcellError, ErrorCode, Event, InputError, Observer, Outcome
+from armcell.cli.console import err, write_json
+from armcell.cli.gate import gate_summary, warn_without_twin
+from armcell.core import (
+    ArmcellError,
+    ErrorCode,
+    Event,
+    InputError,
+    JointTrajectory,
+    Observer,
+    Outcome,
+    StateSample,
+    UnknownNameError,
+)
+
+RATE = 5.0  # [Hz] of the cell's clock
+
+
+def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) -> list[CameraFrames]:
+    """Return the observers that record camera frames of a run, as requested by `armcell run --frames`.
+
+    Args:
+        wanted: CAMERA or CAMERA=HZ, each.
+    Raises:
+        InputError: the run has no physics or no record, or a rate is invalid.
+        UnknownNameError: a camera does not exist.
+    """
+    if recorder is None or mode != "sim":
+        raise InputError("--frames needs physics and a record", hint="mode sim, and no --headless")
+    known = live.cameras
+    found = []
+    for each in wanted:
+        name, _, rate = each.partition("=")
+        if name not in known:
+            raise UnknownNameError("camera", name, known)
+        try:
+            hertz = float(rate or RATE)
+        except ValueError:
+            hertz = 0.0
+        if not 0 < hertz <= 100:
+            raise InputError(
+                f"--frames {each}: {rate!r} is no rate", hint="a number of Hz up to 100: overview=10"
+            )
+        found.append(CameraFrames(live.driver, known[name], hertz, recorder))
+    return found
+
+
+class CameraFrames:
+    """Observer that records frames of a camera for `armcell run --frames`, at a fixed rate [Hz] on the cell's
+    clock.
+    """
+
+    def __init__(self, driver: Any, camera: Any, rate: float, recorder: Any):
+        self._driver, self._camera, self._period, self._recorder = driver, camera, 1.0 / rate, recorder
+        self._due = 0.0
+
+    def on_state(self, sample: StateSample) -> None:
+        if sample.time < self._due - 1e-9:
+            return
+        self._due = sample.time + self._period
+        if self._driver.is_paced:  # asynchronous: a step must not wait for a picture
+            self._camera.ask("frames", self._keep, depth=False)
+        else:
+            self._keep(self._camera.draw(depth=False))
+
+    def _keep(self, image: Any) -> None:
+        self._recorder.add_frame(image.time, image.camera, image.rgb)
+
+    def on_event(self, event: Event) -> None:
+        pass
+
+    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
+        pass
+
+
+def write_result_files(recorder: Any, result: dict[str, Any], json_file: Path | None = None) -> Path | None:
+    """Write the files of a run: result, record and report. Call this after the result was printed.
+
+    A failure to write (e.g. a full disk) then does not hide the result.
+
+    Args:
+        recorder: the recorder with the run folder; None for a run without a record.
+        json_file: additional file for the result.
+    Returns:
+        The report file; None without a recorder.
+    Raises:
+        InputError: files could not be written; all other files are written.
+    """
+    report = None
+    files: dict[Path, Callable[[Path], object]] = {}
+    if json_file is not None:
+        files[json_file] = lambda file: write_json(file, result)
+    if recorder is not None:
+        from armcell.records import REPORT_FILE, write_report
+
+        recorder.finish(result)
+        report = recorder.folder / REPORT_FILE
+        files[recorder.folder / "result.json"] = lambda file: write_json(file, result)
+        files[report] = lambda file: write_report(file.parent, result, recorder)
+    failed: dict[Path, OSError] = {}
+    for file, write in files.items():
+        try:
+            write(file)
+        except OSError as error:
+            failed[file] = error
+    if failed:
+        file, error = next(iter(failed.items()))
+        more = "".join(f", nor {other.name}" for other in list(failed)[1:])
+        raise InputError(
+            f"cannot be written{more}: {error.strerror}", file=file,
+            hint="the run itself ended as shown; make room, or choose another folder with --runs or --json",
+        )  # fmt: skip
+    return report
+
 
 RECORD = typer.Option(
     None, "--record/--no-record", show_default=False,

@@ -16,8 +16,9 @@ from rich.live import Live
 from rich.text import Text
 
 from armcell import _interrupts
-from armcell.cli.console import console, err, errors
-from armcell.cli.gate_check import WITHOUT_GATE, require_gate_override
+from armcell.cli.common_options import SEED, seed_or_default
+from armcell.cli.console import console, err, errors, print_addresses
+from armcell.cli.gate import WITHOUT_GATE, require_gate_override
 from armcell.cli.ros1 import OWN_MASTER, ROS1, Join, OpenTransport, check_own_master, reserve_transport
 from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
@@ -38,8 +39,6 @@ from armcell.cli.run_record import (
     error_text,
     records_folder,
 )
-from armcell.cli.seed_option import SEED, seed_or_default
-from armcell.cli.server_addresses import print_addresses
 from armcell.core import InputError
 
 REFRESH = 1.0  # [s]

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from armcell.cli.console import console
-from armcell.cli.emulator import run_emulator
-from armcell.cli.server_addresses import print_addresses
+from armcell.cli.console import console, print_addresses
+from armcell.cli.emulate import run_emulator
 from armcell.core import InputError
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ def ur_controller(
 
     Runs with real-time priority if permitted (as root on Linux).
     """
-    from armcell.emulators.shared_world import SharedWorld
+    from armcell.emulators.rack import SharedWorld
     from armcell.emulators.ur import ControllerSettings, PhysicsPlant, RemoteHost, UrRack
 
     hosts = list(host)

@@ -12,7 +12,7 @@ import typer
 
 from armcell.cli import goal_options
 from armcell.cli.console import console, errors
-from armcell.cli.gate_check import WITHOUT_GATE, require_gate_override
+from armcell.cli.gate import WITHOUT_GATE, require_gate_override
 from armcell.cli.page import ALLOW_HOST, HOST, OPEN, PORT, serve_page
 from armcell.cli.run_record import RECORD, RUNS, ExternallyControlledRun, RecordingOptions, records_folder
 from armcell.core import Observer

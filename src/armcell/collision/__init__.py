@@ -1,7 +1,6 @@
 """Collision checking, distance queries, and certification of whole motions."""
 
-from armcell.collision.certificate import Certificate
-from armcell.collision.certify import MotionBound, certify_path
+from armcell.collision.certify import Certificate, MotionBound, certify_path
 from armcell.collision.certify_timed import TimedCertificate, certify_timed
 from armcell.collision.exact_checker import ExactChecker, neighbors
 from armcell.collision.inter_arm_checker import InterArmChecker, without_arms

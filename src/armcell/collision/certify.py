@@ -1,24 +1,42 @@
-"""Certification: proof that a motion is collision-free everywhere, not only at samples.
+"""Certification of paths: proof that a motion is collision-free everywhere, and the `Certificate`.
 
-If two bodies have distance d at a configuration and their relative motion over the rest of an interval is
-less than d, they cannot touch in the interval. The algorithm bisects each edge until every pair is certified
-or found in contact (conservative advancement; Schwarzer, Saha and Latombe, "Exact collision checking of robot
-paths", WAFR 2002).
+If two bodies have distance d at a configuration and their relative motion over the rest of an interval
+is less than d, they cannot touch in the interval. The algorithm bisects each edge until every pair is
+certified or found in contact (conservative advancement; Schwarzer, Saha and Latombe, "Exact collision
+checking of robot paths", WAFR 2002).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision.certificate import Certificate
 from armcell.core import Contact
 from armcell.core.checks import float_array
 from armcell.kinematics import KinematicTree
 from armcell.kinematics.tree import FIXED, PRISMATIC, REVOLUTE
 from armcell.model import RobotModel
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Result of an attempt to certify that a motion is collision-free.
+
+    Attributes:
+        free: True if the motion is certified collision-free.
+        at: position of the contact as a fraction of the motion, from 0 to 1; only if not `free`.
+        contact: pair of bodies in contact, or None if unknown; only if not `free`.
+        clearance: smallest distance [m] among the configurations that were measured.
+    """
+
+    free: bool
+    at: float = 1.0
+    contact: Contact | None = None
+    clearance: float = np.inf
+
 
 Array = NDArray[np.float64]
 

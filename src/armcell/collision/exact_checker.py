@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.broad_phase import box_gaps, world_boxes
-from armcell.collision.certificate import Certificate
-from armcell.collision.certify import certify_path
-from armcell.collision.coal_shapes import CoalGeometry, solid
-from armcell.collision.primitive_set import distance_to_primitives, touches_primitives
+from armcell.collision.certify import Certificate, certify_path
+from armcell.collision.coal_shapes import CoalGeometry, distance_to_primitives, solid, touches_primitives
 from armcell.core import SE3, Contact, InputError
 from armcell.core.checks import float_array
 from armcell.kinematics import kinematic_tree

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.collision.certify_timed import TimedCertificate
 from armcell.collision.exact_checker import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.kernel.clearance_proof import first_below_clearance
+from armcell.collision.kernel.motion import first_below_clearance
 from armcell.core import Contact, InputError, JointTrajectory
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel

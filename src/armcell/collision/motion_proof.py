@@ -1,28 +1,131 @@
-"""Certification of timed motions against a measured scene and other running motions.
+"""Certification of timed motions against a measured, displaced scene and other running motions.
 
-If a motion is not certified collision-free, the result is its first contact with the time. The motion gate
-(`execution/motion_gate.py`) certifies every motion at its start and again when the scene changes.
+If a motion is not certified collision-free, the result is its first contact with the time. The motion
+gate (`execution/motion_gate.py`) certifies every motion at its start and again when the scene changes.
+An upper bound of how far the scene's bodies are displaced from the planned scene decides which proofs
+remain valid.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision.certificate import Certificate
-from armcell.collision.displacement_bound import displacement
+from armcell.collision.certify import Certificate
 from armcell.collision.inter_arm_checker import ARM_JOINTS, InterArmChecker
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.resting_contact import certify_from_rest
-from armcell.core import Contact, JointTrajectory
+from armcell.core import SE3, Contact, JointTrajectory, Shape
 from armcell.core.checks import require
+from armcell.core.geometry import local_bounds
+from armcell.kinematics import kinematic_tree
+from armcell.model import RobotModel
 from armcell.scene import PlanningScene
 from armcell.timing.chords import acceleration_bounds, positions_at
 
-Array = NDArray[np.float64]
+F64 = NDArray[np.float64]
+Solids = tuple[tuple[Shape, SE3], ...]
+
+
+def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> float:
+    """Return an upper bound [m] on how much closer two bodies can be than planned,
+    because objects or joints have been displaced.
+
+    The result is an upper bound: a motion that keeps this distance from everything in the planned scene is
+    collision-free in the other scene.
+
+    Args:
+        planned: the scene in which the motion was planned.
+        scene: the current scene.
+        joint_names: joints that the motion moves; their positions have no effect.
+    Returns:
+        Infinity if the planned scene has a different robot, lacks an object, or allows a contact that the
+        other scene does not allow.
+    """
+    if planned.model is not scene.model or planned.link_scale or scene.link_scale:
+        return math.inf
+    if planned.attached.keys() != scene.attached.keys() or not planned.objects.keys() >= scene.objects.keys():
+        return math.inf
+    if not all(scene.is_allowed(*pair) for pair, yes in planned.allowed.items() if yes) or any(
+        planned.is_allowed(*pair) for pair, yes in scene.allowed.items() if not yes
+    ):
+        return math.inf
+    links = _links_moved(planned, scene, joint_names)
+    robot = [float(links.max(initial=0.0))] * 2  # [m] displacements of two links, then of each held object
+    objects = 0.0
+    index = kinematic_tree(scene.model).link_index
+    for name, held in scene.attached.items():
+        known = planned.attached[name]
+        if known.link != held.link or known.touch_links != held.touch_links:
+            return math.inf
+        if known.object.shapes is not held.object.shapes:
+            return math.inf
+        own = _moved(known.T_link_object, held.T_link_object, held.object.shapes)
+        robot.append(own + float(links[index[held.link]]))
+    for name, item in scene.objects.items():
+        known = planned.objects[name]
+        if known is item:
+            continue
+        if known.shapes is not item.shapes:
+            return math.inf
+        objects = max(objects, _moved(known.T_world_object, item.T_world_object, item.shapes))
+    second, first = sorted(robot)[-2:]
+    return first + max(second, objects)
+
+
+def _links_moved(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> F64:
+    """Return upper bounds (links,) [m] on the displacement of each link
+    that is caused by joints outside the planned motion.
+    """
+    model = scene.model
+    q, columns = planned.positions.copy(), model.columns(joint_names)
+    q[columns] = scene.positions[columns]
+    radius = _link_radii(model)
+    if np.array_equal(q, scene.positions):
+        return np.zeros(len(radius))
+    tree = kinematic_tree(model)
+    off = tree.link_transforms(q) - tree.link_transforms(scene.positions)
+    return np.linalg.norm(off[:, :3, :3], axis=(1, 2)) * radius + np.linalg.norm(off[:, :3, 3], axis=1)
+
+
+def _moved(before: SE3, now: SE3, shapes: Solids) -> float:
+    """Return an upper bound [m] on how far any point of an object moves when it is displaced from its planned
+    to its present pose.
+    """
+    if before is now:
+        return 0.0
+    turned = (now.rotation.matrix - before.rotation.matrix).ravel().tolist()
+    shift = math.dist(now.translation.tolist(), before.translation.tolist())
+    return math.hypot(*turned) * _radius(shapes) + shift if any(turned) else shift
+
+
+@lru_cache(maxsize=64)
+def _link_radii(model: RobotModel) -> F64:
+    """Return the distance (links,) [m] from each link's origin to its farthest point, which bounds the link's
+    displacement.
+
+    The order is that of the kinematic tree.
+    """
+    links = [model.links[name] for name in kinematic_tree(model).link_names]
+    return np.array([_radius(tuple((c.shape, c.T_link_shape) for c in link.collisions)) for link in links])
+
+
+@lru_cache(maxsize=256)
+def _radius(shapes: Solids) -> float:
+    """Return an upper bound on the distance [m] from the frame origin of an object or link to the points of
+    its shapes, to bound their displacement.
+    """
+    reach = 0.0
+    for shape, T in shapes:
+        center, half = local_bounds(shape)
+        reach = max(reach, float(np.linalg.norm(T.apply(center)) + np.linalg.norm(half)))
+    return reach
+
 
 ERRORS = (5e-4, 5e-5)
 """[rad or m] Approximate largest deviations of a joint from the piecewise linear path to certify, in order of
@@ -75,14 +178,14 @@ class ActiveMotion:
         """Return the time [s] until a running motion ends, to prove the rest of the motion collision-free."""
         return max(self.trajectory.duration - self.passed, 0.0)
 
-    def positions(self, after: Array) -> Array:
+    def positions(self, after: F64) -> F64:
         """Return the joint positions (k, n) that a running motion commands at times (k,) [s]. They are
         constant after the motion has ended.
         """
         q = positions_at(self.trajectory, self.passed + after)
         return q if self.blend is None else q + positions_at(self.blend, self.passed + after)
 
-    def accelerations(self) -> Array:
+    def accelerations(self) -> F64:
         """Return upper bounds (n,) on the acceleration of each joint in a running motion,
         to prove the motion collision-free.
 
@@ -91,7 +194,7 @@ class ActiveMotion:
         most = acceleration_bounds(self.trajectory)
         return most if self.blend is None else most + acceleration_bounds(self.blend)
 
-    def knots(self) -> Array:
+    def knots(self) -> F64:
         """Return the times [s] from now at which one polynomial segment
         of a running motion ends and the next begins.
         """
@@ -145,12 +248,12 @@ def first_conflict(
     return None
 
 
-def _free(checker: KernelChecker, points: Array, room: Array, distance: float = 0.0) -> bool:
+def _free(checker: KernelChecker, points: F64, room: F64, distance: float = 0.0) -> bool:
     return checker.certify(points, room, distance=distance, evidence=False).free
 
 
 def _conflict(
-    checker: KernelChecker, here: Array, motion: ActiveMotion, others: Sequence[ActiveMotion], late: float
+    checker: KernelChecker, here: F64, motion: ActiveMotion, others: Sequence[ActiveMotion], late: float
 ) -> Conflict | None:
     for error in ERRORS:
         times, points, room = _timed(here, motion, others, late, error)
@@ -165,7 +268,7 @@ def _conflict(
     return Conflict(motion.passed + max(time - late, 0.0), proof.contact, proof.at <= 0.0)
 
 
-def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certificate) -> Certificate:
+def _earliest(checker: KernelChecker, points: F64, room: F64, proof: Certificate) -> Certificate:
     """Search by bisection for the first contact of a motion that failed certification. The failed certificate
     `proof` may report a later contact.
     """
@@ -186,8 +289,8 @@ def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certifi
 
 
 def _timed(
-    here: Array, motion: ActiveMotion, others: Sequence[ActiveMotion], late: float, error: float
-) -> tuple[Array, Array, Array]:
+    here: F64, motion: ActiveMotion, others: Sequence[ActiveMotion], late: float, error: float
+) -> tuple[F64, F64, F64]:
     """Return the path that the motion proof certifies: piecewise linear, from the measured joint positions
     through all running motions.
 
@@ -203,7 +306,7 @@ def _timed(
 
 def _pieces(
     motion: ActiveMotion, others: Sequence[ActiveMotion], late: float, error: float
-) -> tuple[Array, Array, Array]:
+) -> tuple[F64, F64, F64]:
     """Convert running motions to one piecewise linear path and bound its deviation from these motions,
     to prove them collision-free.
 
@@ -242,7 +345,7 @@ def conflict_at_any_pace(scene: PlanningScene, motion: ActiveMotion, other: Acti
     return not InterArmChecker(scene, (mine, theirs)).keeps_clearance_at_any_pace(a, room_a, b, room_b, 0.0)
 
 
-def _of_group(scene: PlanningScene, motion: ActiveMotion, group: str) -> tuple[Array, Array]:
+def _of_group(scene: PlanningScene, motion: ActiveMotion, group: str) -> tuple[F64, F64]:
     """Return a piecewise linear path (k, n) of a group that approximates a timed motion, and the largest
     deviation (n,) [rad or m] of each joint from this path.
 

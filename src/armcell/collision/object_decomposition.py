@@ -1,23 +1,344 @@
-"""Convex pieces of objects for physics; closed meshes keep their cavities and openings.
+"""Convex decomposition of objects along reflex edges, for physics; keeps cavities and openings.
 
-Robot links always use `convex_pieces`, which divides a link into at most 12 pieces.
+The algorithm cuts the piece whose convex hull exceeds its solid most, until the total excess is below
+`EXCESS` of the mesh's volume. Then it cuts the piece whose hull covers a point of the surface deepest,
+until no point is deeper than `DEPTH`. A candidate plane contains a reflex edge and halves its dihedral
+angle, or contains the face beside it (the floor of a bin, the inner side of a wall), or halves the
+piece's extent along an axis. The union of the pieces contains the mesh, and pieces do not overlap.
+
+The budget counts processed points, not seconds, so a busy machine gives the same pieces. Robot links
+always use `convex_pieces`, which divides a link into at most 12 pieces.
 """
 
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armcell._array_store import key_of
-from armcell.collision import concave_decomposition
 from armcell.collision.convex_decomposition import convex_hull_mesh, convex_pieces, stored_pieces
+from armcell.collision.winding import winding_numbers
 from armcell.core import Mesh, is_closed
 
 if TYPE_CHECKING:
     import trimesh
+
+Array = NDArray[np.float64]
+
+EXCESS = 0.08
+"""Excess of the pieces' total volume over the mesh's volume, as a fraction, at which the cuts end."""
+DEPTH = 0.002
+"""Largest depth [m] of a point of the mesh's surface below the surface of its piece's convex hull."""
+MAX_PIECES = 256
+EDGES = 0.5  # weight of resolved reflex edges in the choice of a cut; a cut that removes the excess has 1
+WORK = 12_000_000  # points that clips and hulls process; about 8 s
+_PLANES = 6  # candidate planes through reflex edges, per piece
+_FRACTIONS = (0.5,)  # of the extent along each axis: the other candidate planes
+_ON_PLANE = 1e-8  # [m]
+_INWARD = 1e-6  # [m]
+_FLAT = np.deg2rad(1.0)  # a smaller reflex angle counts as flat
+
+
+@dataclass(frozen=True, eq=False)
+class _Reflex:
+    """Reflex edges of a concave mesh: ends (e, 2, 3), planes (e, 3, 4) and weights (e,).
+
+    A plane is a normal and an offset.
+    """
+
+    ends: Array
+    planes: Array
+    weights: Array
+
+    def below(self, plane: Array) -> _Reflex:
+        """Return the parts of a concave mesh's reflex edges that are
+        below a cutting plane, where n · x + d < 0.
+        """
+        height = self.ends @ plane[:3] + plane[3]  # (e, 2)
+        rows = height.min(1) < -1e-7
+        ends, height = self.ends[rows], height[rows]
+        share = np.clip(
+            height[:, 0] / np.where(height[:, 0] == height[:, 1], 1.0, height[:, 0] - height[:, 1]), 0, 1
+        )
+        cut = ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
+        first, second = height[:, 0] > 0, height[:, 1] > 0
+        weights = self.weights[rows] * np.where(first, 1 - share, np.where(second, share, 1.0))
+        ends = np.stack(
+            [np.where(first[:, None], cut, ends[:, 0]), np.where(second[:, None], cut, ends[:, 1])], 1
+        )
+        return _Reflex(ends, self.planes[rows], weights)
+
+
+@dataclass(eq=False)
+class _Piece:
+    """Part of a concave solid inside one convex cell of space. The decomposition cuts space into these cells
+    along the solid's reflex edges.
+
+    `caps` closes the surface for volumes only: its triangles may reach beyond the solid, where they cancel.
+    """
+
+    triangles: Array  # (n, 3, 3)
+    caps: Array  # (k, 3, 3)
+    edges: _Reflex
+    cell: Array  # (c, 4) planes of the cell, n x + d <= 0 inside
+    corners: Array  # (m, 3) corners of the cell inside the solid: there, no triangle has a corner
+    hull: float  # [m^3]
+    depth: float = np.inf  # [m] of the deepest point of the surface below the hull, once measured
+
+    @property
+    def points(self) -> Array:
+        return np.vstack([np.unique(self.triangles.reshape(-1, 3), axis=0), self.corners])
+
+    @property
+    def excess(self) -> float:
+        """Return the volume [m^3] by which the convex hull of a piece exceeds the concave solid."""
+        return self.hull - _volume(self.triangles) - _volume(self.caps)
+
+
+class _Work:
+    """Working state while a concave solid is decomposed: the solid itself and the remaining points."""
+
+    def __init__(self, points: int, vertices: Array, faces: NDArray[np.int32]):
+        self.left, self._vertices, self._faces = points, vertices, faces
+
+    def inside(self, points: Array) -> NDArray[np.bool_]:
+        """Return a mask of the points (n, 3) that are inside the concave solid being decomposed."""
+        if not len(points):
+            return np.zeros(0, bool)
+        self.left -= len(points) * len(self._faces) // 10
+        return np.abs(winding_numbers(points, self._vertices, self._faces)) > 0.5
+
+    def hull(self, points: Array) -> float:
+        """Return the volume [m^3] of the convex hull of points (n, 3) on a piece of a concave solid.
+        It is 0 if the points are coplanar.
+        """
+        from scipy.spatial import ConvexHull, QhullError
+
+        self.left -= len(points) + 150  # qhull's start takes as long as 150 points
+        if len(points) < 4:
+            return 0.0
+        try:
+            return float(ConvexHull(points).volume)
+        except (QhullError, ValueError):
+            return 0.0
+
+    def measure_depth(self, piece: _Piece) -> None:
+        """Measure how deep [m] the deepest vertex of a piece of a concave solid is inside the piece's convex
+        hull.
+        """
+        from scipy.spatial import ConvexHull, QhullError
+
+        points = np.unique(piece.triangles.reshape(-1, 3), axis=0)
+        piece.depth = 0.0
+        try:
+            planes = np.unique(ConvexHull(piece.points).equations.round(9), axis=0)
+        except (QhullError, ValueError):
+            return
+        self.left -= len(points) * len(planes) // 50
+        for some in np.array_split(points, len(points) // 500 + 1):
+            above = (some @ planes[:, :3].T + planes[:, 3]).max(axis=1)
+            piece.depth = max(piece.depth, -float(above.min()))
+
+
+def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[Array]:
+    """Cut a closed concave mesh into pieces until the convex hulls of the
+    pieces together fill hardly more volume than the mesh.
+
+    Args:
+        vertices: (v, 3) [m].
+        faces: (f, 3) with outward normals.
+        budget: number of points that may be processed.
+    Returns:
+        The points (n, 3) of each piece; their convex hulls are the pieces.
+    """
+    work = _Work(budget, vertices, faces)
+    triangles = vertices[faces]
+    whole = _Piece(
+        triangles,
+        np.empty((0, 3, 3)),
+        _reflex_edges(vertices, faces),
+        np.empty((0, 4)),
+        np.empty((0, 3)),
+        work.hull(triangles.reshape(-1, 3)),
+    )
+    volume = _volume(triangles)
+    done, pieces = [], [whole]
+    excess = [whole.excess]
+    while pieces and len(done) + len(pieces) < MAX_PIECES and work.left > 0:
+        if sum(excess) + sum(p.excess for p in done) > EXCESS * volume:
+            worst = int(np.argmax(excess))
+        else:
+            for piece in pieces:
+                if piece.depth == np.inf:
+                    work.measure_depth(piece)
+            worst = int(np.argmax([piece.depth for piece in pieces]))
+            if pieces[worst].depth <= DEPTH:
+                break
+        halves = _best_cut(pieces[worst], work)
+        if halves is None:
+            done.append(pieces.pop(worst))
+            excess.pop(worst)
+        else:
+            pieces[worst : worst + 1] = halves
+            excess[worst : worst + 1] = [half.excess for half in halves]
+    return [piece.points for piece in (*done, *pieces)]
+
+
+def _volume(triangles: Array) -> float:
+    """Return the signed volume [m^3] between triangles (n, 3, 3) of a concave solid and the origin."""
+    return float(np.einsum("ni,ni->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2]))) / 6
+
+
+def _best_cut(piece: _Piece, work: _Work) -> tuple[_Piece, _Piece] | None:
+    """Find the best cut through a reflex edge of a concave piece.
+    Return the pieces on both sides, or None if no cut helps.
+
+    The first cuts of a cup or a bin save no volume, because a ring has the same hull as its disk. The score
+    therefore also counts how far the reflex edges are resolved and distributed.
+    """
+    best, found = 0.0, None
+    weight, excess = piece.edges.weights.sum(), piece.excess
+    for plane in _candidates(piece):
+        if work.left <= 0:
+            return found
+        halves = [_half(piece, plane * side, work) for side in (1.0, -1.0)]
+        if min(half.hull for half in halves) <= 0.0:
+            continue
+        score = (piece.hull - sum(half.hull for half in halves)) / excess
+        if weight > 0:
+            score += EDGES * (1.0 - sum(float(half.edges.weights.sum() / weight) ** 2 for half in halves))
+        if score > best + 1e-9:
+            best, found = score, (halves[0], halves[1])
+    return found
+
+
+def _half(piece: _Piece, plane: Array, work: _Work) -> _Piece:
+    work.left -= len(piece.triangles) + len(piece.caps)
+    origin = -plane[3] * plane[:3]
+    triangles, rim = clip(piece.triangles, plane)
+    caps, cap_rim = clip(piece.caps, plane)
+    rims = np.concatenate([rim, cap_rim])
+    fans = np.concatenate([np.broadcast_to(origin, (len(rims), 1, 3)), rims[:, ::-1]], axis=1)
+    half = _Piece(
+        triangles, np.concatenate([caps, fans]), piece.edges.below(plane),
+        np.vstack([piece.cell, plane]), _corners(piece, plane, work), 0.0,
+    )  # fmt: skip
+    half.hull = work.hull(half.points)
+    return half
+
+
+def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
+    """Return the corners (n, 3) of a piece's convex cell after the cell is cut by a plane. Only corners
+    inside the concave solid are returned.
+    """
+    cell, n = piece.cell, len(piece.cell)
+    old = piece.corners[piece.corners @ plane[:3] + plane[3] < 0]
+    pairs = np.array([(i, j) for i in range(n) for j in range(i)], int).reshape(-1, 2)
+    planes = np.concatenate([cell[pairs], np.broadcast_to(plane, (len(pairs), 1, 4))], axis=1)
+    planes = planes[np.abs(np.linalg.det(planes[:, :, :3])) > 1e-3]
+    corners = np.linalg.solve(planes[:, :, :3], -planes[:, :, 3:])[..., 0]
+    inward = np.linalg.solve(planes[:, :, :3], np.full((len(planes), 3, 1), -_INWARD))[..., 0]
+    tested = corners + inward  # decides where a corner is on the surface
+    rows = (tested @ cell[:, :3].T + cell[:, 3] < 0).all(1)
+    return np.asarray(np.vstack([old, corners[rows][work.inside(tested[rows])]]), np.float64)
+
+
+def _candidates(piece: _Piece) -> Array:
+    """Return the candidate cutting planes (k, 4) for a piece of a concave solid,
+    as normal n and offset d with n · x + d = 0.
+    """
+    points = piece.triangles.reshape(-1, 3)
+    low, high = points.min(0), points.max(0)
+    planes = [
+        np.r_[-np.eye(3)[axis], low[axis] + fraction * (high[axis] - low[axis])]
+        for axis in range(3)
+        for fraction in _FRACTIONS
+    ]
+    edges = piece.edges
+    if len(edges.weights):
+        found = edges.planes.reshape(-1, 4)
+        weights = np.repeat(edges.weights, 3)
+        scale = float(np.linalg.norm(high - low))
+        # equal planes count together: the floor of a bin has many reflex edges
+        keys = np.round(np.c_[found[:, :3], found[:, 3:] / scale] / 0.02).astype(np.int64)
+        _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        total = np.bincount(group.ravel(), weights)
+        order = np.argsort(-total, kind="stable")
+        planes += list(found[first[order[:_PLANES]]])
+    return np.array(planes)
+
+
+def _reflex_edges(vertices: Array, faces: NDArray[np.int32]) -> _Reflex:
+    """Return the reflex edges of a concave mesh: those at which the interior angle exceeds 180 degrees."""
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    face = np.tile(np.arange(len(faces)), 3)
+    key = np.sort(directed, axis=1).astype(np.int64) @ np.array([len(vertices), 1])
+    order = np.argsort(key, kind="stable")
+    same = np.flatnonzero(key[order][1:] == key[order][:-1])
+    one, two = order[same], order[same + 1]
+    a, b = vertices[directed[one, 0]], vertices[directed[one, 1]]
+    n, m = normals[face[one]], normals[face[two]]
+    along = b - a
+    length = np.linalg.norm(along, axis=1)
+    # the cross product of the normals points along face one's direction of the edge where the edge is convex
+    sine = np.einsum("ij,ij->i", np.cross(n, m), along) / np.maximum(length, 1e-12)
+    angle = np.arctan2(-sine, np.einsum("ij,ij->i", n, m))
+    rows = (angle > _FLAT) & (length > 0)
+    a, n, m, along = a[rows], n[rows], m[rows], along[rows]
+    bisector = np.cross(along, n + m)
+    size = np.linalg.norm(bisector, axis=1, keepdims=True)
+    bisector = np.divide(bisector, size, out=n.copy(), where=size > 1e-12)
+    kinds = np.stack([bisector, n, m], axis=1)
+    kinds *= np.where(np.take_along_axis(kinds, np.abs(kinds).argmax(2)[..., None], 2) < 0, -1.0, 1.0)
+    planes = np.concatenate([kinds, -np.einsum("ekj,ej->ek", kinds, a)[..., None]], axis=2)
+    return _Reflex(np.stack([a, b[rows]], 1), planes, length[rows] * angle[rows])
+
+
+def clip(triangles: Array, plane: Array) -> tuple[Array, Array]:
+    """Clip the triangles (n, 3, 3) of a concave solid at a cutting plane (4,), given as normal and offset.
+
+    Returns:
+        The part (k, 3, 3) with n x + d <= 0 without triangles in the plane, and the edges (e, 2, 3) of this
+        part in the plane, in the direction of their triangles.
+    """
+    height = triangles @ plane[:3] + plane[3]  # (n, 3)
+    height[np.abs(height) < _ON_PLANE] = 0.0
+    above, on = height > 0, height == 0
+    count = above.sum(1)
+    kept = triangles[(count == 0) & ~on.all(1)]
+    parts, rims = [kept], []
+    on_kept = on[(count == 0) & ~on.all(1)]
+    for k in range(3):
+        rows = on_kept[:, k] & on_kept[:, (k + 1) % 3]
+        rims.append(kept[rows][:, [k, (k + 1) % 3]])
+    for one_above in (True, False):  # triangles with one corner to cut off, or with one corner to keep
+        rows = np.flatnonzero((count == (1 if one_above else 2)) & (height < 0).any(1))
+        if len(rows) == 0:
+            continue
+        odd = np.argmax(above[rows] if one_above else ~above[rows], axis=1)
+        order = (odd[:, None] + np.arange(3)) % 3
+        tri = np.take_along_axis(triangles[rows], order[:, :, None], axis=1)
+        h = np.take_along_axis(height[rows], order, axis=1)
+        p, q, r = tri[:, 0], tri[:, 1], tri[:, 2]
+        pq = p + (h[:, 0] / (h[:, 0] - h[:, 1]))[:, None] * (q - p)
+        pr = p + (h[:, 0] / (h[:, 0] - h[:, 2]))[:, None] * (r - p)
+        if one_above:
+            parts += [np.stack([pq, q, r], 1), np.stack([pq, r, pr], 1)]
+            rims.append(np.stack([pr, pq], 1))
+        else:
+            parts.append(np.stack([p, pq, pr], 1))
+            rims.append(np.stack([pq, pr], 1))
+    return np.concatenate(parts), np.concatenate(rims)
+
 
 log = logging.getLogger(__name__)
 
@@ -31,8 +352,8 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     """Decompose an object's mesh into convex meshes whose union contains it; the result is cached on disk.
 
     Each closed solid of a mesh is decomposed on its own, into pieces that do not overlap. Their total
-    volume exceeds the solid's volume by at most `concave_decomposition.EXCESS`, and they cover no point of
-    its surface deeper than `concave_decomposition.DEPTH`, unless the budget of `concave_decomposition.cut`
+    volume exceeds the solid's volume by at most `EXCESS`, and they cover no point of
+    its surface deeper than `DEPTH`, unless the budget of `cut`
     ends first. An open mesh has no volume: `convex_pieces` divides it. The same mesh always yields the same
     pieces.
 
@@ -50,15 +371,15 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     if not is_closed(mesh) or abs(merged.volume) > CONVEX * merged.convex_hull.volume:
         return convex_pieces(mesh)
     key = key_of(f"concave{VERSION}", mesh.vertices.astype(float), mesh.faces.astype(np.int32))
-    return stored_pieces(key, lambda: _cut(mesh, merged))
+    return stored_pieces(key, lambda: _cut_solid(mesh, merged))
 
 
-def _cut(mesh: Mesh, merged: trimesh.Trimesh) -> tuple[Mesh, ...]:
+def _cut_solid(mesh: Mesh, merged: trimesh.Trimesh) -> tuple[Mesh, ...]:
     merged.fix_normals(multibody=True)
-    found = concave_decomposition.cut(np.array(merged.vertices, float), np.array(merged.faces, np.int32))
-    pieces = [piece for piece in map(convex_hull_mesh, found) if _volume(piece) > SMALLEST]
-    total = sum(map(_volume, pieces))
-    if total > (1 + 2 * concave_decomposition.EXCESS) * merged.volume:
+    found = cut(np.array(merged.vertices, float), np.array(merged.faces, np.int32))
+    pieces = [piece for piece in map(convex_hull_mesh, found) if _mesh_volume(piece) > SMALLEST]
+    total = sum(map(_mesh_volume, pieces))
+    if total > (1 + 2 * EXCESS) * merged.volume:
         log.warning(
             "%s: %d convex pieces fill %.1f cm3, the mesh %.1f cm3: its openings are smaller in physics",
             mesh.file or "mesh", len(pieces), total * 1e6, merged.volume * 1e6,
@@ -66,7 +387,7 @@ def _cut(mesh: Mesh, merged: trimesh.Trimesh) -> tuple[Mesh, ...]:
     return tuple(pieces)
 
 
-def _volume(piece: Mesh) -> float:
+def _mesh_volume(piece: Mesh) -> float:
     """Return the volume [m^3] of a closed mesh with outward normals, for the convex decomposition of an
     object.
     """

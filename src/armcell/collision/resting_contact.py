@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision.certificate import Certificate
-from armcell.collision.certify import MotionBound
+from armcell.collision.certify import Certificate, MotionBound
 from armcell.collision.exact_checker import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import Contact

@@ -1,8 +1,12 @@
-"""Search for the link pairs whose collisions can be disabled (SRDF collision matrix).
+"""Search for the link pairs whose collisions can be disabled (SRDF collision matrix), by samples and proofs.
 
-Sampling alone reports "never in contact" for a pair that touches once in a million states. Pairs with few
-joints between them are therefore proven apart (`kernel.near`). For the other pairs, samples in which the
-links are near are start states of a local search for contact.
+Sampling alone reports "never in contact" for a pair that touches once in a million states. Pairs with
+few joints between them are therefore proven apart (`kernel.near_groups`). For the other pairs, samples
+in which the links are near are start states of a local search for contact.
+
+`_check_arrays` of the kernel stops checking a lane at its first contact. The `PairSampler` checks every
+pair separately, 16 configurations at a time: it changes a few numbers at the head of the pack, so that
+the check sees only that pair.
 """
 
 from __future__ import annotations
@@ -11,21 +15,108 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from armcell.collision.exact_checker import ExactChecker
+from armcell.collision.kernel.block import EVERY, EXACT, PROVE, check_block, handle_of, ints, lanes_of
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.kernel.pair_samples import PairSampler
+from armcell.collision.kernel.frames import workspace
+from armcell.collision.kernel.pack import NEAR, PAIR, PAIRS
+from armcell.collision.kernel.simd import L, pointer
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+Masks = NDArray[np.uint16]
+
+CHUNK = 4096  # samples between two calls of `progress`
+
+
+@njit(cache=True, nogil=True)
+def _ask_pairs(handle, pairs, q, masks):
+    """Fill a mask (pairs, blocks) for body pairs.
+    The bits of each entry mark the sampled configurations in which the pair is close.
+
+    A block has 16 rows of q.
+    """
+    k = pointer(handle)
+    I, w = ints(k), lanes_of(k)
+    first_pair, first_near, dof = I[PAIR], I[NEAR], q.shape[1]
+    I[PAIRS] = np.int32(1)
+    for block in range(masks.shape[1]):
+        for lane in range(L):
+            row = min(block * L + lane, len(q) - 1)
+            for j in range(dof):
+                w[j * L + lane] = np.float32(q[row, j])
+        for p in range(len(pairs)):
+            I[PAIR] = np.int32(first_pair + 2 * pairs[p])
+            I[NEAR] = np.int32(first_near + pairs[p])
+            # A proof over an interval of zero width checks the configuration itself, and continues to the
+            # end for every lane.
+            masks[p, block] = np.uint16(check_block(k, EVERY, np.int64(EXACT | PROVE)))
+    I[PAIR], I[NEAR] = np.int32(first_pair), np.int32(first_near)
+
+
+class PairSampler:
+    """Sampler that finds the contacts of each pair of bodies in a very large number of configurations.
+
+    Pairs that `near` proved apart are left out.
+
+    Attributes:
+        pairs: (k, 2) names of the bodies that may meet.
+    """
+
+    def __init__(self, checker: KernelChecker):
+        I, F, D = checker.flat
+        self._flat = (I.copy(), F, D)  # other checkers read the original
+        self._work = workspace(self._flat)
+        self._slack = np.zeros(max(len(checker.pack.frame), 1), np.float32)
+        self._slack_pair = np.zeros(max(len(checker.pack.pairs), 1), np.float32)
+        self._handle = handle_of((*self._flat, *self._work, self._slack, self._slack_pair))
+        self._count = len(checker.pack.pairs)
+        names = checker.names.bodies
+        self.pairs = [(names[i], names[j]) for i, j in checker.pack.pairs]
+
+    def contact_masks(
+        self, numbers: I64, q: F64, within: float = 0.0, progress: Callable[[int], None] | None = None
+    ) -> NDArray[np.bool_]:
+        """Return a mask (len(numbers), samples) of the sampled configurations in which a body pair is in
+        contact.
+
+        Args:
+            numbers: indices in `pairs`.
+            q: configurations (samples, dof) of all joints.
+            within: [m] largest distance that counts as contact.
+            progress: receives the number of finished samples.
+        """
+        self._slack[:] = self._slack_pair[:] = within  # the bodies' slack decides which pairs are skipped
+        numbers = np.ascontiguousarray(numbers, dtype=np.int64)
+        found = np.zeros((len(numbers), len(q)), bool)
+        for start in range(0, len(q), CHUNK):
+            part = np.ascontiguousarray(q[start : start + CHUNK], dtype=float)
+            masks = np.zeros((len(numbers), -(-len(part) // L)), np.uint16)
+            if len(numbers):
+                _ask_pairs(self._handle, numbers, part, masks)
+            bits = np.unpackbits(masks.view(np.uint8), axis=1, bitorder="little")
+            found[:, start : start + len(part)] = bits[:, : len(part)]
+            if progress:
+                progress(min(start + CHUNK, len(q)))
+        return found
+
 
 Array = NDArray[np.float64]
 Progress = Callable[[int], None]
 
-NEAR = 0.03  # [m] samples with a smaller distance are start states of the search for contact
+NEAR_DISTANCE = 0.03  # [m] samples with a smaller distance are start states of the search for contact
 STARTS, STEPS = 6, 120  # start states of the search per pair, and steps per start state
 RARE = 2000  # with more contact samples of the (larger) kernel solids, the meshes certainly touch, too
-EVERY = 2000  # samples in which the meshes must touch before a pair counts as always in contact
+ALWAYS_SAMPLES = 2000  # samples in which the meshes must touch before a pair counts as always in contact
 FIRST = 16384  # samples of all pairs; further samples are only for pairs that touch in few of these
 OFTEN = 0.02  # fraction of contact samples above which more samples cannot change the result
 MOSTLY = 0.95
@@ -188,9 +279,9 @@ class _Survey:
             if 0 < counts[n] <= RARE and not any(self._touch(a, b, q) for q in states):
                 counts[n] = 0
             elif counts[n] == len(close[n]):
-                counts[n] -= not all(self._touch(a, b, q) for q in states[:EVERY])
+                counts[n] -= not all(self._touch(a, b, q) for q in states[:ALWAYS_SAMPLES])
         never = numbers[counts == 0]
-        near = sampler.contact_masks(never, self.states, NEAR)
+        near = sampler.contact_masks(never, self.states, NEAR_DISTANCE)
         unproven = dict.fromkeys(names, np.zeros((0, self.model.dof)))
         for n, rows in zip(never, near, strict=True):
             unproven[names[n]] = self.states[np.flatnonzero(rows)]

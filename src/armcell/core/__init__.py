@@ -1,37 +1,52 @@
 """Value types shared by all packages: poses, joints, shapes, requests, results and errors."""
 
-from armcell.core.closed_meshes import is_closed, open_edges, with_small_holes_filled
-from armcell.core.clouds import Octree, PointCloud, finite_points
-from armcell.core.constraints import (
-    WORLD,
-    Constraints,
-    JointConstraint,
-    OrientationConstraint,
-    PositionConstraint,
-    VisibilityConstraint,
-)
-from armcell.core.contact import Contact
 from armcell.core.errors import ArmcellError, ErrorCode, InputError, MissingExtraError, UnknownNameError
 from armcell.core.events import Event, Observer, StateSample
-from armcell.core.explanation import Explanation, Suggestion
-from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
-from armcell.core.height_map import HeightMap
-from armcell.core.images import CameraImage, Pinhole
-from armcell.core.joints import JointPath, JointState, JointTrajectory
-from armcell.core.playback import Playback
+from armcell.core.geometry import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Mesh,
+    Octree,
+    Plane,
+    PointCloud,
+    Shape,
+    Sphere,
+    finite_points,
+    is_closed,
+    open_edges,
+    with_small_holes_filled,
+)
+from armcell.core.images import CameraImage, HeightMap, Pinhole
+from armcell.core.joints import JointPath, JointState, JointTrajectory, Playback
 from armcell.core.registry import Registry
 from armcell.core.requests import (
     ADAPTERS,
+    WORLD,
     CartesianRequest,
     ConstraintGoal,
+    Constraints,
     Goal,
+    JointConstraint,
     JointGoal,
     NamedGoal,
+    OrientationConstraint,
     PlanRequest,
     PoseGoal,
+    PositionConstraint,
     SequenceRequest,
+    VisibilityConstraint,
 )
-from armcell.core.results import ExecutionResult, IKResult, Outcome, PlanResult
+from armcell.core.results import (
+    Contact,
+    ExecutionResult,
+    Explanation,
+    IKResult,
+    Outcome,
+    PlanResult,
+    Suggestion,
+)
 from armcell.core.shape_table import (
     Format,
     ShapeKind,

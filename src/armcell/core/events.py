@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from armcell.core.contact import Contact
 from armcell.core.joints import JointState, JointTrajectory
+from armcell.core.results import Contact
 from armcell.core.transforms import SE3
 
 

@@ -1,21 +1,153 @@
-"""Shapes of links and objects. Each shape is centered on its own frame.
+"""Shapes of links and objects: solids, planes, meshes and whether they are closed, point clouds, octrees.
 
-Cylinder, capsule and cone have their axis along local z. Sizes are full lengths in meters.
+Each shape is centered on its own frame. Cylinder, capsule and cone have their axis along local z. Sizes
+are full lengths in meters. Point clouds and octrees belong to the world and cannot be attached; they
+may be empty. A mesh is closed if each of its directed edges has a counterpart in the opposite
+direction. This also holds for bodies that touch along an edge, where four triangles meet.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from armcell.core.checks import checked, float_array
-from armcell.core.clouds import Octree, PointCloud
 from armcell.core.errors import InputError
 
-Array = NDArray[np.float64]
+F64 = NDArray[np.float64]
+
+
+def finite_points(points: ArrayLike) -> tuple[F64, int]:
+    """Return the finite points of a point cloud (n, 3), and the number of points that were dropped because
+    they are not finite.
+
+    Depth cameras mark pixels without depth by NaN.
+    """
+    every = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
+    kept = np.all(np.isfinite(every), axis=1)
+    return every[kept], int(len(every) - kept.sum())
+
+
+@dataclass(frozen=True, eq=False)
+@checked()
+class PointCloud:
+    """Shape of a point cloud: balls of equal radius [m] around points (n, 3) [m], given in the shape's frame.
+
+    Raises:
+        InputError: a point is not finite (see `finite_points`), or the radius is not positive.
+    """
+
+    points: F64
+    radius: float
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.radius) or self.radius <= 0:
+            raise InputError(
+                f"point cloud has radius {self.radius:g}, it must be a positive number of meters"
+            )
+        object.__setattr__(self, "points", _rows("point cloud", "points", self.points))
+
+    @property
+    def half_extents(self) -> F64:
+        return np.abs(self.points).max(axis=0, initial=0.0) + (self.radius if len(self.points) else 0.0)
+
+    @cached_property
+    def bounds(self) -> tuple[F64, F64]:
+        """Return the lowest and the highest corner, each (3,) [m], of the box that encloses a point cloud.
+
+        Both corners are zero if the cloud is empty.
+        """
+        return _bounds(self.points, self.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Octree:
+    """Octree shape, for example from a 3D map: a set of occupied cubes that are aligned with the axes of the
+    octree's frame.
+
+    centers (n, 3) [m], sizes (n,) full edge lengths [m]. Cubes may overlap and need no common grid.
+    """
+
+    centers: F64
+    sizes: F64
+
+    def __post_init__(self) -> None:
+        centers = _rows("octree", "centers", self.centers)
+        sizes = np.ascontiguousarray(float_array(self.sizes, None, "sizes", finite=False))
+        if sizes.shape != (len(centers),):
+            raise InputError(f"octree has {len(centers)} centers but sizes of shape {sizes.shape}")
+        bad = int(np.sum(~np.isfinite(sizes) | (sizes <= 0)))
+        if bad:
+            raise InputError(f"octree has {bad} cells whose size is not a positive number of meters")
+        sizes.setflags(write=False)
+        object.__setattr__(self, "centers", centers)
+        object.__setattr__(self, "sizes", sizes)
+
+    @staticmethod
+    def from_grid(occupied: ArrayLike, size: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Octree:
+        """Create an octree shape from a boolean occupancy grid (i, j, k). Eight occupied neighbors are merged
+        into a larger cube.
+
+        Args:
+            origin: the lowest corner of cell (0, 0, 0) [m].
+        """
+        left = float_array(occupied, None, "occupied", finite=False).astype(bool)
+        if left.ndim != 3:
+            raise InputError(f"an occupancy grid has three dimensions, this one {left.ndim}")
+        centers, sizes, edge = [], [], float(size)
+        while left.any():
+            left = np.pad(left, [(0, n % 2) for n in left.shape])
+            i, j, k = (n // 2 for n in left.shape)
+            full = left.reshape(i, 2, j, 2, k, 2).all(axis=(1, 3, 5))
+            single = left & ~full.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+            cells = np.argwhere(single)
+            centers.append((cells + 0.5) * edge + float_array(origin, (3,), "origin"))
+            sizes.append(np.full(len(cells), edge))
+            left, edge = full, edge * 2
+        return Octree(np.vstack([np.zeros((0, 3)), *centers]), np.concatenate([np.zeros(0), *sizes]))
+
+    @property
+    def half_extents(self) -> F64:
+        low, high = self.bounds
+        return np.maximum(np.abs(low), np.abs(high))
+
+    @cached_property
+    def bounds(self) -> tuple[F64, F64]:
+        """Return the lowest and the highest corner, each (3,) [m], of the box that encloses an octree.
+
+        Both corners are zero if the octree is empty.
+        """
+        return _bounds(self.centers, self.sizes[:, None] / 2)
+
+
+def _rows(what: str, name: str, values: ArrayLike) -> F64:
+    rows = np.ascontiguousarray(float_array(values, None, name, finite=False))
+    if rows.size == 0:
+        rows = rows.reshape(0, 3)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise InputError(f"{what} needs {name} of shape (n, 3), not {rows.shape}")
+    bad = int(len(rows) - np.isfinite(rows).all(axis=1).sum())
+    if bad:
+        raise InputError(
+            f"{what}: {bad} of {len(rows)} {name} have a NaN or infinity in them",
+            hint="leave them out with finite_points()",
+        )
+    rows.setflags(write=False)
+    return rows
+
+
+def _bounds(rows: F64, half: F64 | float) -> tuple[F64, F64]:
+    if len(rows) == 0:
+        return np.zeros(3), np.zeros(3)
+    columns = np.ascontiguousarray(rows.T)  # NumPy reduces long rows several times faster
+    if isinstance(half, np.ndarray):
+        half = half.T
+    return (columns - half).min(axis=1), (columns + half).max(axis=1)
+
 
 PLANE_EXTENT_M = 100.0
 """Extent of a plane in images and bounding boxes [m]; contacts use the infinite half space."""
@@ -45,7 +177,7 @@ class Box:
         _positive("box", x=self.x, y=self.y, z=self.z)
 
     @property
-    def half_extents(self) -> Array:
+    def half_extents(self) -> F64:
         return np.array([self.x, self.y, self.z]) / 2
 
 
@@ -58,7 +190,7 @@ class Sphere:
         _positive("sphere", radius=self.radius)
 
     @property
-    def half_extents(self) -> Array:
+    def half_extents(self) -> F64:
         return np.full(3, self.radius)
 
 
@@ -72,7 +204,7 @@ class Cylinder:
         _positive("cylinder", radius=self.radius, length=self.length)
 
     @property
-    def half_extents(self) -> Array:
+    def half_extents(self) -> F64:
         return np.array([self.radius, self.radius, self.length / 2])
 
 
@@ -91,7 +223,7 @@ class Capsule:
         _positive("capsule", radius=self.radius, length=self.length)
 
     @property
-    def half_extents(self) -> Array:
+    def half_extents(self) -> F64:
         return np.array([self.radius, self.radius, self.length / 2 + self.radius])
 
 
@@ -107,7 +239,7 @@ class Cone:
         _positive("cone", radius=self.radius, length=self.length)
 
     @property
-    def half_extents(self) -> Array:
+    def half_extents(self) -> F64:
         return np.array([self.radius, self.radius, self.length / 2])
 
 
@@ -116,7 +248,7 @@ class Plane:
     """Plane shape, an obstacle that fills a half space: all points with z <= 0 in its own frame are solid."""
 
     @property
-    def half_extents(self) -> Array:
+    def half_extents(self) -> F64:
         return np.array([PLANE_EXTENT_M, PLANE_EXTENT_M, PLANE_EXTENT_M])
 
 
@@ -124,7 +256,7 @@ class Plane:
 class Mesh:
     """Triangle mesh shape with vertices (v, 3) [m] and faces (f, 3)."""
 
-    vertices: Array  # (v, 3) [m]
+    vertices: F64  # (v, 3) [m]
     faces: NDArray[np.int32]  # (f, 3)
     file: Path | None = None
 
@@ -143,14 +275,14 @@ class Mesh:
         object.__setattr__(self, "faces", faces)
 
     @property
-    def half_extents(self) -> Array:
+    def half_extents(self) -> F64:
         return np.maximum(np.abs(self.vertices.min(0)), np.abs(self.vertices.max(0)))
 
 
 Shape = Box | Sphere | Cylinder | Capsule | Cone | Plane | Mesh | PointCloud | Octree
 
 
-def extent(shape: Shape, direction: Array) -> tuple[float, float]:
+def extent(shape: Shape, direction: F64) -> tuple[float, float]:
     """Return the lowest and the highest coordinate [m] that a shape reaches along a direction, given as a
     unit vector (3,).
 
@@ -185,7 +317,7 @@ def extent(shape: Shape, direction: Array) -> tuple[float, float]:
     return -half, half
 
 
-def local_bounds(shape: Shape) -> tuple[Array, Array]:
+def local_bounds(shape: Shape) -> tuple[F64, F64]:
     """Return the center and the half extents, each (3,) [m], of a shape's bounding box in the frame of the
     shape.
 
@@ -200,3 +332,81 @@ def local_bounds(shape: Shape) -> tuple[Array, Array]:
     if isinstance(shape, Plane):  # everything below z = 0
         return np.array([0.0, 0.0, -PLANE_EXTENT_M]), shape.half_extents
     return np.zeros(3), shape.half_extents
+
+
+Ints = NDArray[np.int64]
+
+SAME = 1e-8  # [m] grid on which vertices count as one
+LARGEST_HOLES = 0.05  # of the mesh's area: larger holes are openings of a surface, not defects
+
+
+@lru_cache(maxsize=256)
+def open_edges(mesh: Mesh) -> Ints:
+    """Return the directed edges (e, 2) at which a mesh is open, as vertex indices. At these edges, no
+    adjacent triangle has the opposite edge.
+
+    Vertices at the same point count as one. A mesh in which every edge has two triangles is closed, even if
+    the triangles are not oriented consistently.
+    """
+    first, same = np.unique((mesh.vertices / SAME).round(), axis=0, return_index=True, return_inverse=True)[
+        1:
+    ]
+    a, b, c = first[same.ravel()[mesh.faces]].T.astype(np.int64)
+    starts, ends = np.concatenate([a, b, c]), np.concatenate([b, c, a])
+    real, count = starts != ends, len(mesh.vertices)
+    starts, ends = starts[real], ends[real]
+    edges, net = np.unique(np.minimum(starts, ends) * count + np.maximum(starts, ends), return_inverse=True)
+    excess = np.bincount(net, weights=np.where(starts < ends, 1, -1)).astype(int)
+    if np.all(np.bincount(net) == 2):
+        excess[:] = 0
+    low, high = np.divmod(edges, count)
+    pairs = np.where((excess > 0)[:, None], np.column_stack([low, high]), np.column_stack([high, low]))
+    return np.repeat(pairs, np.abs(excess), axis=0)
+
+
+def is_closed(mesh: Mesh) -> bool:
+    """Return whether a mesh encloses a volume."""
+    return not len(open_edges(mesh))
+
+
+def with_small_holes_filled(mesh: Mesh) -> Mesh:
+    """Return a mesh whose holes are filled with triangles, if they are small defects.
+
+    The mesh itself is returned if it is closed, or if the holes together have more than `LARGEST_HOLES` of
+    its area. Each hole is filled by a fan from one of its vertices.
+    """
+    edges = open_edges(mesh)
+    if not len(edges):
+        return mesh
+    fans = [(loop[0], loop[i + 1], loop[i]) for loop in _loops(edges) for i in range(1, len(loop) - 1)]
+    caps = np.array(fans, dtype=mesh.faces.dtype).reshape(-1, 3)
+    if _area(mesh.vertices, caps) > LARGEST_HOLES * _area(mesh.vertices, mesh.faces):
+        return mesh
+    return Mesh(mesh.vertices, np.vstack([mesh.faces, caps]), mesh.file)
+
+
+def _loops(edges: Ints) -> list[list[int]]:
+    """Divide the open edges of a mesh into simple loops of vertices. Each vertex has as many incoming as
+    outgoing edges.
+    """
+    after: dict[int, list[int]] = {}
+    for a, b in edges.tolist():
+        after.setdefault(a, []).append(b)
+    found: list[list[int]] = []
+    for start in list(after):
+        while after[start]:
+            path = [start]
+            while after[path[-1]]:
+                following = after[path[-1]].pop()
+                if following in path:  # cut the loop off, and go on with what led to it
+                    at = path.index(following)
+                    found.append(path[at:])
+                    del path[at + 1 :]
+                else:
+                    path.append(following)
+    return found
+
+
+def _area(vertices: F64, faces: NDArray[np.int32]) -> float:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2

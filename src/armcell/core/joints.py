@@ -1,14 +1,15 @@
-"""Joint-space states, paths and trajectories, each with its joint names.
+"""Joint-space states, paths and trajectories, and fast playback of a trajectory at increasing times.
 
-At interfaces, `reindexed` converts values to another joint order.
+Each value has its joint names. At interfaces, `reindexed` converts values to another joint order.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.core.checks import float_array, is_number
 from armcell.core.errors import InputError, UnknownNameError
 
-Array = NDArray[np.float64]
+F64 = NDArray[np.float64]
 Names = tuple[str, ...]
 
 
@@ -28,7 +29,7 @@ def _columns(have: Names, want: Iterable[str]) -> list[int]:
         raise UnknownNameError("joint", missing.args[0], have) from None
 
 
-def all_finite(values: Array) -> bool:
+def all_finite(values: F64) -> bool:
     """Return whether all values (n,) of a joint state are finite; for small n, this is faster than NumPy."""
     return math.isfinite(values.dot(values)) or bool(np.isfinite(values).all())
 
@@ -41,9 +42,9 @@ class JointState:
     """
 
     joint_names: Names
-    positions: Array  # (n,)
-    velocities: Array | None = None  # (n,)
-    efforts: Array | None = None  # (n,) [Nm or N]
+    positions: F64  # (n,)
+    velocities: F64 | None = None  # (n,)
+    efforts: F64 | None = None  # (n,) [Nm or N]
     time: float = 0.0  # [s]
 
     def __post_init__(self) -> None:
@@ -65,7 +66,7 @@ class JointState:
 
     @staticmethod
     def unchecked(
-        joint_names: Names, positions: Array, velocities: Array | None = None, efforts: Array | None = None,
+        joint_names: Names, positions: F64, velocities: F64 | None = None, efforts: F64 | None = None,
         time: float = 0.0,
     ) -> JointState:  # fmt: skip
         """Create a joint state without checking or copying the arrays, for drivers with high sample rates."""
@@ -118,7 +119,7 @@ class JointPath:
     """Path in joint space: waypoints that are connected by straight segments, without timing."""
 
     joint_names: Names
-    waypoints: Array  # (k, n) [rad or m]
+    waypoints: F64  # (k, n) [rad or m]
 
     def __post_init__(self) -> None:
         waypoints = np.array(self.waypoints, dtype=float)
@@ -148,10 +149,10 @@ class JointTrajectory:
     """
 
     joint_names: Names
-    times: Array  # (k,) [s], from the start, strictly increasing
-    positions: Array  # (k, n)
-    velocities: Array | None = None  # (k, n)
-    accelerations: Array | None = None  # (k, n)
+    times: F64  # (k,) [s], from the start, strictly increasing
+    positions: F64  # (k, n)
+    velocities: F64 | None = None  # (k, n)
+    accelerations: F64 | None = None  # (k, n)
 
     def __post_init__(self) -> None:
         times = np.array(self.times, dtype=float)
@@ -202,7 +203,7 @@ class JointTrajectory:
             names, self.times, self.positions[:, cols], pick(self.velocities), pick(self.accelerations)
         )
 
-    def sample(self, t: float) -> tuple[Array, Array, Array]:
+    def sample(self, t: float) -> tuple[F64, F64, F64]:
         """Return the position, velocity and acceleration, each (n,), of a joint trajectory at a time t [s].
 
         Before the start and after the end, the position is constant.
@@ -224,7 +225,7 @@ class JointTrajectory:
         h = times[i + 1] - times[i]
         return self._between(i, t - times[i], [h**k for k in range(6)])
 
-    def samples(self, times: ArrayLike) -> tuple[Array, Array, Array]:
+    def samples(self, times: ArrayLike) -> tuple[F64, F64, F64]:
         """Return the positions, velocities and accelerations, each (k, n), of a joint trajectory at several
         times (k,) [s].
 
@@ -244,7 +245,7 @@ class JointTrajectory:
             q[rows], v[rows], a[rows] = self._between(i, s, list(powers.T[:, :, None]))
         return q, v, a
 
-    def _between(self, i: Any, s: Any, h: Sequence[Any]) -> tuple[Array, Array, Array]:
+    def _between(self, i: Any, s: Any, h: Sequence[Any]) -> tuple[F64, F64, F64]:
         """Evaluate position, velocity and acceleration of a joint trajectory at a time s [s] after its point
         i.
 
@@ -274,3 +275,82 @@ class JointTrajectory:
             v0 + s * (a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5))),
             a0 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5)),
         )
+
+
+T = TypeVar("T", float, F64)
+
+
+class Playback:
+    """Fast evaluator for playing back a trajectory: it returns the positions and velocities at any time.
+
+    The values agree with `JointTrajectory.sample`; accelerations are not available.
+
+    Position and velocity are polynomials in the time since the start of an interval; the constructor computes
+    the coefficients of all intervals.
+
+    Attributes:
+        duration: duration of the trajectory [s].
+    """
+
+    def __init__(self, trajectory: JointTrajectory):
+        t, n = trajectory, len(trajectory.joint_names)
+        if len(t.times) == 0:
+            raise InputError("an empty trajectory has no position at any time")
+        self._n, self._times, self.duration = n, t.times.tolist(), t.duration
+        self._knots = t.times
+        self._first, self._last = t.positions[0], t.positions[-1]
+        p0, d = t.positions[:-1], np.diff(t.positions, axis=0)
+        h = np.diff(t.times)[:, None]
+        c = np.zeros((len(h), 6, n))  # of 1, s, ..., s^5
+        c[:, 0] = p0
+        if t.velocities is None:
+            c[:, 1] = d / h
+        elif t.accelerations is None:
+            v0, v1 = t.velocities[:-1], t.velocities[1:]
+            c[:, 1] = v0
+            c[:, 2] = (3 * d / h - 2 * v0 - v1) / h
+            c[:, 3] = (v0 + v1 - 2 * d / h) / h**2
+        else:
+            v0, v1, a0, a1 = t.velocities[:-1], t.velocities[1:], t.accelerations[:-1], t.accelerations[1:]
+            c[:, 1], c[:, 2] = v0, a0 / 2
+            c[:, 3] = (20 * d - (8 * v1 + 12 * v0) * h - (3 * a0 - a1) * h**2) / (2 * h**3)
+            c[:, 4] = (-30 * d + (14 * v1 + 16 * v0) * h + (3 * a0 - 2 * a1) * h**2) / (2 * h**4)
+            c[:, 5] = (12 * d - 6 * (v1 + v0) * h + (a1 - a0) * h**2) / (2 * h**5)
+        slopes = np.zeros_like(c)
+        slopes[:, :5] = c[:, 1:] * np.arange(1.0, 6.0)[:, None]
+        self._coefficients = np.concatenate([c, slopes], axis=2)  # (k - 1, 6, 2n)
+
+    def at(self, t: float) -> tuple[F64, F64]:
+        """Return the position and the velocity, each (n,),
+        at a time t [s] of the trajectory that is played back.
+
+        Before the start and after the end, the position is constant.
+        """
+        known, n = self._times, self._n
+        if not known[0] < t < known[-1]:
+            return (self._first if t <= known[0] else self._last).copy(), np.zeros(n)
+        i = bisect_right(known, t) - 1
+        both = np.array(_powers(t - known[i])) @ self._coefficients[i]
+        return both[:n], both[n:]
+
+    def at_times(self, times: ArrayLike) -> tuple[F64, F64]:
+        """Return the positions and velocities, each (k, n),
+        at several times (k,) [s] of the trajectory that is played back.
+
+        Before the start and after the end, the position is constant.
+        """
+        t, known, n = float_array(times, (None,), "times"), self._knots, self._n
+        positions = np.where((t <= known[0])[:, None], self._first, self._last)
+        velocities = np.zeros_like(positions)
+        inside = ((known[0] < t) & (t < known[-1])).nonzero()[0]
+        if len(inside):
+            i = known.searchsorted(t[inside], "right") - 1
+            powers = np.stack(_powers(t[inside] - known[i]), axis=1)
+            both = (powers[:, None] @ self._coefficients[i])[:, 0]
+            positions[inside], velocities[inside] = both[:, :n], both[:, n:]
+        return positions, velocities
+
+
+def _powers(s: T) -> tuple[T, T, T, T, T, T]:
+    ss = s * s
+    return s**0, s, ss, ss * s, ss * ss, ss * ss * s

@@ -1,19 +1,159 @@
-"""Results of requests: code, message and evidence."""
+"""Results of requests: code, message, contacts between bodies, and explanations of failures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core.contact import Contact
 from armcell.core.errors import ErrorCode
-from armcell.core.explanation import Explanation
-from armcell.core.joints import JointPath, JointTrajectory
+from armcell.core.joints import JointPath, JointState, JointTrajectory
+from armcell.core.transforms import SE3, SO3
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Contact between two bodies (links or objects) that touch or are close to each other.
+
+    `distance` [m] is negative in penetration; `position` (3,) is in the world frame [m].
+    """
+
+    body_a: str
+    body_b: str
+    distance: float
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def describe(self) -> str:
+        if self.distance <= 0:
+            return f"{self.body_a} touches {self.body_b} ({-self.distance * 1000:.1f} mm deep)"
+        return f"{self.body_a} is {self.distance * 1000:.1f} mm from {self.body_b}"
+
+
+Change = Callable[..., tuple[Any, Any]]
+"""Function that applies a suggestion: (scene, request, **arguments) -> (scene, request)."""
+
+
+TRIED = {True: "", None: " (not tried)", False: " (needed, but not enough alone)"}
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestion:
+    """Suggested change of the scene or of the planning request that may turn a failed request into a
+    successful one.
+
+    Attributes:
+        text: the change as an instruction ("move the goal 12 mm along +z").
+        effort: size of the change [m or rad], to compare suggestions of one kind.
+        works: True if planning succeeded with the change; None if not tried; False if the change is
+            necessary but not sufficient.
+    """
+
+    text: str
+    change: Change
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    effort: float = 0.0
+    works: bool | None = None
+
+    def apply(self, scene: Any, request: Any) -> tuple[Any, Any]:
+        """Apply the change that an explanation suggests to copies of a scene and a request, and return the
+        copies.
+        """
+        return self.change(scene, request, **self.arguments)
+
+    def as_dict(self) -> dict[str, Any]:
+        name = getattr(self.change, "__name__", type(self.change).__name__)
+        return {
+            "text": self.text,
+            "change": name,
+            "arguments": to_json_types(self.arguments),
+            "effort": to_json_types(self.effort),
+            "works": self.works,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Explanation of a failed request: the causes of the failure, and the changes that would help.
+
+    Attributes:
+        summary: one line.
+        details: one line per finding.
+        suggestions: verified suggestions first; `effort` compares suggestions of one kind.
+        contacts: the contacts, deepest first.
+        state: the robot state in which the contacts occur.
+        nearest: the robot state at the nearest valid goal (or start).
+        data: the findings by name.
+    """
+
+    code: ErrorCode
+    summary: str
+    details: tuple[str, ...] = ()
+    suggestions: tuple[Suggestion, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    state: JointState | None = None
+    nearest: JointState | None = None
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """Return the explanation of a failed request as text, with one line per finding."""
+        lines = [f"{self.code.name}: {self.summary}", *(f"  {line}" for line in self.details)]
+        if self.suggestions:
+            lines.append("what would help:")
+        for number, suggestion in enumerate(self.suggestions, 1):
+            lines.append(f"  {number}. {suggestion.text}{TRIED[suggestion.works]}")
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the explanation of a failed request as a dictionary that contains only JSON types."""
+        return {
+            "code": int(self.code),
+            "code_name": self.code.name,
+            "summary": self.summary,
+            "details": list(self.details),
+            "suggestions": [s.as_dict() for s in self.suggestions],
+            "contacts": to_json_types(self.contacts),
+            "state": to_json_types(self.state),
+            "nearest": to_json_types(self.nearest),
+            "data": to_json_types(self.data),
+        }
+
+
+def to_json_types(value: Any) -> Any:
+    """Convert a value from an explanation to JSON types.
+
+    Non-finite numbers become None, and a pose becomes a mapping of position and quaternion.
+    """
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, SE3):
+        return {"xyz": value.translation.tolist(), "quat_xyzw": value.quat_xyzw.tolist()}
+    if isinstance(value, SO3):
+        return value.quat_xyzw.tolist()
+    if isinstance(value, JointState):
+        return to_json_types(value.as_dict())
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: to_json_types(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(k): to_json_types(v) for k, v in value.items()}
+    if isinstance(value, Iterable):
+        return [to_json_types(v) for v in _items(value)]
+    return str(value)
+
+
+def _items(value: Iterable[Any] | NDArray[Any]) -> list[Any]:
+    return value.tolist() if isinstance(value, np.ndarray) else list(value)
+
 
 Array = NDArray[np.float64]
 

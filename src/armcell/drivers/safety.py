@@ -1,4 +1,6 @@
-"""Safety supervisor: a fault of one arm stops all arms until an explicit call clears it.
+"""Safety of arms: supervisor that stops all arms after a fault, and interfaces of the motion guard.
+
+The motion guard dry-runs motions of real arms before they start. `twin.TwinGuard` implements it.
 
 The supervisor is not a safety system in the sense of a standard. It runs on an ordinary computer and can fail
 with that computer; the robot controllers' own safety functions, emergency stops, fences and a risk assessment
@@ -10,11 +12,15 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
-from armcell.core import ErrorCode, InputError
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, ErrorCode, InputError, JointState, JointTrajectory, Outcome
+from armcell.drivers.execution_handle import ExecutionHandle, SetpointHistory
 
 log = logging.getLogger(__name__)
 
@@ -132,3 +138,113 @@ class Supervisor:
             if self.tripped is not None:
                 self.record(self.tripped.arm, "resumed", f"after {self.tripped.kind}")
             self.tripped = None
+
+
+Array = NDArray[np.float64]
+
+
+class ExecutionMonitor(Protocol):
+    """Interface for monitoring a motion that is streamed to a real arm point by point."""
+
+    def record_setpoint(self, clock: float, off: Array) -> None:
+        """Record a streamed point, so that the motion guard can compare it with the dry run.
+
+        Args:
+            clock: time of the point on the trajectory [s].
+            off: offset of the commanded point from the trajectory (n,).
+        """
+        ...
+
+    def check(self) -> None: ...
+
+    def end(self, how: str) -> None:
+        """End the monitoring of a motion by the motion guard. `how` is
+        "done" or the reason why the motion failed.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSample:
+    """One measurement of a real arm, which the motion guard compares with the dry run.
+
+    Attributes:
+        positions: (n,) [rad].
+        velocities: (n,) [rad/s].
+        efforts: motor currents [A] or joint torques [Nm] (n,); the guard learns their scale.
+        clock: progress [s] along the trajectory that the robot plays itself; 0 if it plays none.
+        speed_fraction: speed fraction, 0 to 1, to which the speed slider is set.
+    """
+
+    positions: Array
+    velocities: Array
+    efforts: Array
+    clock: float
+    speed_fraction: float
+
+
+class GuardedArm(Protocol):
+    """Interface through which a motion guard reads a real arm's measurements and sets its speed slider.
+    `real.RealArm` implements this interface.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+
+    def sample(self) -> ArmSample: ...
+
+    @property
+    def time_of_state(self) -> float: ...  # [s, monotonic] time of the measurement
+
+    @property
+    def speed_scaling(self) -> float: ...
+
+    def set_slider(self, fraction: float) -> None: ...
+
+
+class DryRunSimulation(Protocol):
+    """Interface of a motion guard's dry-run simulation, for declaring expected contacts and watching held
+    objects.
+    """
+
+    def expect_contact(self, body: str, others: tuple[str, ...], expected: bool) -> None: ...
+
+    def watch_object(self, name: str, supports: tuple[str, ...]) -> None: ...
+
+    def unwatch_object(self, name: str) -> None: ...
+
+
+class MotionGuard(Protocol):
+    """Interface of a guard that dry-runs the motions of real arms and compares the arms with the simulation.
+
+    Attributes:
+        trips: shortest recent network round trip [s], by arm.
+        note: called with (arm name, kind, text) for each action of the guard.
+    """
+
+    trips: Mapping[str, Callable[[], float]]
+    note: Callable[[str, str, str], None]
+
+    @property
+    def simulation(self) -> DryRunSimulation: ...
+
+    @property
+    def compares(self) -> bool: ...  # False: motions are dry-run, but not compared while they run
+
+    @property
+    def motions(self) -> list[Any]: ...  # recorded motions, while the guard learns
+
+    def check_calibration(self, found: Mapping[str, str]) -> None: ...
+
+    def dry_run(
+        self,
+        trajectory: JointTrajectory,
+        state: JointState,
+        poses: Mapping[str, SE3],
+        held: Mapping[str, str],
+    ) -> Outcome | None: ...
+
+    def monitor(
+        self, following: ExecutionHandle, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
+        trip: Callable[[Fault], None], sent_for: SetpointHistory | None = None, forced: bool = False,
+    ) -> ExecutionHandle: ...  # fmt: skip

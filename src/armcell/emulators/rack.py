@@ -1,15 +1,23 @@
-"""Rack of emulated controllers that run in one thread, paced by wall time."""
+"""Rack of emulated controllers in one thread: robot kinds, all real arms of a cell, shared physics world.
+
+Paced by wall time. The arms may be of one or several vendors.
+"""
 
 from __future__ import annotations
 
 import selectors
 import threading
 import time
-from collections.abc import Sequence
-from typing import BinaryIO, Generic, Protocol, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, BinaryIO, Generic, Protocol, TypeVar
 
 from armcell import _interrupts
+from armcell.core import InputError, Registry
+from armcell.drivers.real import RealSettings
 from armcell.emulators.network import Network
+from armcell.scene import PlanningScene
+from armcell.sim import PhysicsSettings, SimWorld
 
 IDLE = 1.0  # [s] without a client before a run counts as ended
 MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger delay is lost
@@ -161,3 +169,120 @@ class Rack(Generic[AnyController]):
         self.stop()
         self._thread.join(timeout=5.0)
         self.close()
+
+
+class SharedPlant(Protocol):
+    """Interface of an emulated arm in a shared world."""
+
+    def set_joint_targets(self, time: float) -> None:
+        """Set an emulated arm's commands for the physics step of the shared world that ends at a world time
+        [s].
+        """
+        ...
+
+    def follow_reset(self) -> None:
+        """Let an emulated arm continue from its initial state after the shared world was reset."""
+        ...
+
+
+class SharedWorld:
+    """Physics world that the plants of one or several emulated arms share.
+
+    Each plant is driven by its own emulated controller. The plants with the shortest control period advance
+    the world, each by an equal part of the period.
+    """
+
+    def __init__(self, world: SimWorld):
+        self.world = world
+        self._plants: list[SharedPlant] = []
+        self._periods: list[float] = []
+        self._owed = 0.0  # [s]
+
+    def join(self, plant: SharedPlant, period: float) -> None:
+        """Add an emulated arm to the shared world. Its controller calls `advance` once per period [s]."""
+        self._plants.append(plant)
+        self._periods.append(period)
+
+    def reset(self) -> None:
+        """Reset all emulated arms and all objects in the shared world to their initial state."""
+        self.world.reset()
+        for plant in self._plants:
+            plant.follow_reset()
+
+    def advance(self, period: float) -> None:
+        """Advance the shared world by one arm's share of its control period [s]. Each of the n arms with the
+        shortest period contributes 1/n of the period.
+
+        A remainder of less than one time step is kept for later.
+        """
+        shortest = min(self._periods)
+        if period > shortest:
+            return
+        self._owed += period / self._periods.count(shortest)
+        step = self.world.timestep
+        while self._owed >= step - 1e-9:
+            for plant in self._plants:
+                plant.set_joint_targets(self.world.time + step)
+            self.world.step()
+            self._owed -= step
+
+
+class EmulatedKind(Protocol):
+    """Interface of one robot kind's emulator, which creates an emulated controller for each arm of this kind
+    in a cell.
+
+    Attributes:
+        physics: physics settings that the emulated drives need.
+    """
+
+    physics: Mapping[str, Any]
+
+    def make(
+        self, group: str, arm: Any, shared: SharedWorld, io: selectors.BaseSelector,
+        say: Callable[[str], None],
+    ) -> EmulatedController:  # fmt: skip
+        """Return an emulated controller of this kind, whose ports are still closed.
+
+        Args:
+            group: planning group of the arm.
+            arm: settings of the arm in the block `real`.
+            io: I/O selector of the rack.
+            say: receives a line for each event that the operator would see.
+        """
+        ...
+
+
+emulated_kinds: Registry[EmulatedKind] = Registry("emulated kind of robot", "armcell.emulators")
+"""Emulated robot kinds by the name that a cell file states in `real: {kind: ...}`."""
+
+
+def cell_rack(
+    settings: RealSettings, scene: PlanningScene, physics: PhysicsSettings, say: Callable[[str], None],
+    trace: BinaryIO | None = None, reset_between_runs: bool = False,
+) -> Rack[EmulatedController]:  # fmt: skip
+    """Return emulated controllers for all real arms of a cell, which share one physics world.
+
+    The addresses, models and kinds are those of the cell's block `real`.
+
+    Args:
+        scene: the cell's scene at the start.
+        say: receives a line for each event that an operator would see at a robot.
+        trace, reset_between_runs: see `Rack`.
+    Raises:
+        InputError: a robot kind has no emulator, or a port is in use.
+    """
+    kinds = {arm.kind: emulated_kinds[arm.kind] for arm in settings.arms.values()}
+    needs: dict[str, Any] = {}
+    for name, kind in kinds.items():
+        if any(needs.get(key, value) != value for key, value in kind.physics.items()):
+            raise InputError(f"the emulated {name} needs other physics settings than the other arms")
+        needs |= kind.physics
+    shared, io = SharedWorld(SimWorld(scene, replace(physics, **needs))), selector()
+    rack: Rack[EmulatedController] = Rack([], io, trace, reset_between_runs)
+    try:
+        for group, arm in settings.arms.items():
+            rack.controllers.append(kinds[arm.kind].make(group, arm, shared, io, say))
+    except BaseException:
+        rack.close()
+        raise
+    return rack

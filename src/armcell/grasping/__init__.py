@@ -8,9 +8,18 @@ from armcell.grasping.candidates import (
     grasp_candidates,
     surface_coverage,
 )
-from armcell.grasping.contact import PadContact
-from armcell.grasping.force import LIFT_ACCELERATION, grip_force, needed_force, pair_friction
-from armcell.grasping.grasp import Grasp, Rejection, nearest_miss, rejection_sort_key, why_none
+from armcell.grasping.grasp import (
+    LIFT_ACCELERATION,
+    Grasp,
+    PadContact,
+    Rejection,
+    grip_force,
+    nearest_miss,
+    needed_force,
+    pair_friction,
+    rejection_sort_key,
+    why_none,
+)
 from armcell.grasping.hand import Hand, hand_of, pre_opening
 from armcell.grasping.placements import (
     FRICTION_MARGIN,

@@ -18,9 +18,16 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, Box, Capsule, Cylinder, Registry, Sphere
 from armcell.grasping import hand_fit_kernel
-from armcell.grasping.contact import PadContact
-from armcell.grasping.force import SAFETY, firm_force, holding_factor, needed_force
-from armcell.grasping.grasp import APPROACH, Grasp, Rejection
+from armcell.grasping.grasp import (
+    APPROACH,
+    SAFETY,
+    Grasp,
+    PadContact,
+    Rejection,
+    firm_force,
+    holding_factor,
+    needed_force,
+)
 from armcell.grasping.hand import Hand
 from armcell.grasping.suction import SuctionCandidates, evaluate_suction_grasps, find_seals
 from armcell.grasping.surface import Surface, surface_of

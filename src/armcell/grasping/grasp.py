@@ -1,4 +1,8 @@
-"""`Grasp` and `Rejection`: the results of grasp planning."""
+"""`Grasp` with its pad contacts, grip force and tcp pose, and `Rejection`: the results of grasp planning.
+
+The grip force follows from mass, friction, softness and the position of the weight. A tcp pose follows
+from the approach and closing directions.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3
-from armcell.core.checks import checked
-from armcell.grasping.contact import PadContact
+from armcell.core.checks import checked, float_array
+from armcell.model import Gripper
+from armcell.scene import CollisionObject
 
-Array = NDArray[np.float64]
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PadContact:
+    """Contact patch between an object and a gripper's soft finger pad, with surface friction and torsional
+    friction.
+    """
+
+    point: F64  # (3,) [m] center of the patch
+    normal: F64  # (3,) unit vector, points out of the object
+    radius: float  # [m] radius of gyration of the patch; 0 for a point contact
+
+    @staticmethod
+    def of(row: F64) -> PadContact:
+        """Create the contact between a gripper's pad and an object from one
+        row (8,) of the array that `hand_fit_kernel.fit` returns.
+        """
+        row = float_array(row, (8,), "a row", finite=False)
+        return PadContact(row[:3].copy(), row[3:6].copy(), float(row[7]))
+
 
 FAILED = (  # by the number of checks that a rejected candidate passed
     "have nothing between the pads",
@@ -83,3 +108,82 @@ def rejection_sort_key(rejection: Rejection) -> tuple[int, float]:
     failed the next check by less.
     """
     return -rejection.passed, rejection.excess
+
+
+SAFETY = 3.0
+MIN_FORCE = 5.0  # [N] per finger
+LIFT_ACCELERATION = 3.0  # [m/s^2] assumed acceleration of the held object, in addition to gravity
+
+
+def holding_factor(friction: float, torsional_friction: float, lever: F64, patch: F64) -> F64:
+    """Return the factor by which the grip force must grow because the weight does not act on the line through
+    the contacts.
+
+    A soft finger pressed with F holds a force f along the surface and a torque t about its normal while
+    (f / (mu F))^2 + (t / (g F))^2 <= 1 (Howe and Cutkosky 1996), with g = mu r + the torsional coefficient
+    [m] for a patch of radius r.
+
+    Args:
+        lever: [m] lever arm of the weight about the line through the contacts.
+        patch: [m] radius of the smaller patch.
+    """
+    g = friction * patch + max(torsional_friction, 1e-4)
+    return np.sqrt(1 + (friction * lever / g) ** 2)
+
+
+def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
+    """Return the friction coefficient between an object and its support
+    as MuJoCo combines it, to compute a grip force.
+
+    MuJoCo takes the material of the geom with the higher priority, and the larger coefficient if priorities
+    are equal ("Contact parameters" in its XML reference). Movable objects have the higher priority.
+    """
+    mu = item.material.friction
+    return max(mu, support.material.friction) if support.movable else mu
+
+
+def needed_force(item: CollisionObject) -> float:
+    """Return the minimum grip force per finger [N] that holds an object gripped at its center of mass.
+
+    Coulomb friction: m (g + a) / (2 mu).
+    """
+    return item.mass_kg * (9.81 + LIFT_ACCELERATION) / (2 * max(item.material.friction, 0.05))
+
+
+def firm_force(needed: float, gripper: Gripper) -> float:
+    """Return a grip force per finger [N] that includes a safety factor and does not exceed the gripper's
+    maximum.
+    """
+    return float(np.clip(needed * SAFETY, MIN_FORCE, gripper.max_force))
+
+
+def grip_force(item: CollisionObject, gripper: Gripper) -> float:
+    """Return the grip force per finger [N] for an object that is gripped at its center."""
+    return firm_force(needed_force(item), gripper)
+
+
+def tcp_pose(closing: F64, approach: F64, at: F64) -> F64:
+    """Return the frame of a grasp, T_object_tcp (4, 4), from its closing direction and its approach
+    direction.
+
+    Both are orthogonal unit vectors (3,); the tcp is at a point (3,) [m].
+    """
+    T = np.eye(4)
+    T[:3, 0] = np.cross(closing, approach)
+    T[:3, 1], T[:3, 2], T[:3, 3] = closing, approach, at
+    return T
+
+
+def directions_around(axis: F64, count: int, first: F64) -> F64:
+    """Return unit approach directions (count, 3) for grasp frames, distributed evenly around an axis.
+
+    The first direction is the one nearest to `first` (3,).
+    """
+    start = first - (first @ axis) * axis
+    if np.linalg.norm(start) < 1e-6:  # `first` is parallel to the axis: use any perpendicular direction
+        start = np.eye(3)[int(np.argmin(np.abs(axis)))]
+        start = start - (start @ axis) * axis
+    start = start / np.linalg.norm(start)
+    side = np.cross(axis, start)
+    angle = 2 * np.pi * np.arange(count) / count
+    return np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * side

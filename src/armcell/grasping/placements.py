@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armcell.core import SE3, SO3, InputError
 from armcell.core.checks import checked, float_array, is_number, require, unit_vector
 from armcell.core.geometry import extent
-from armcell.grasping.force import pair_friction
+from armcell.grasping.grasp import pair_friction
 from armcell.grasping.stability import StablePose, margin_of, polygon, resting_now, stable_poses
 from armcell.grasping.support import LEVEL, support_surface, tilt_of
 from armcell.grasping.surface import surface_of

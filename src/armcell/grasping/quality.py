@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from armcell.core import SE3, SO3
 from armcell.core.checks import checked, float_array
 from armcell.grasping import hand_fit_kernel
-from armcell.grasping.contact import PadContact
-from armcell.grasping.force import LIFT_ACCELERATION, holding_factor
-from armcell.grasping.grasp import Grasp
+from armcell.grasping.grasp import LIFT_ACCELERATION, Grasp, PadContact, holding_factor
 from armcell.grasping.hand import Hand
 from armcell.grasping.surface import surface_of
 from armcell.scene import CollisionObject, Material

@@ -21,9 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3
-from armcell.grasping.contact import PadContact
-from armcell.grasping.force import LIFT_ACCELERATION
-from armcell.grasping.grasp import APPROACH, Grasp, Rejection
+from armcell.grasping.grasp import APPROACH, LIFT_ACCELERATION, Grasp, PadContact, Rejection
 from armcell.grasping.hand import Hand
 from armcell.grasping.hand_fit_kernel import CLEARANCE, GAP
 from armcell.grasping.surface import Surface

@@ -4,11 +4,9 @@ The package also contains the library of robots that `load_robot` finds by name.
 """
 
 from armcell.model.assets import find_file
+from armcell.model.composition import MountedRobot, compose, hand_alone, prefixed
 from armcell.model.grippers import Gripper, SuctionCup, SuctionGripper
-from armcell.model.hand import hand_alone
-from armcell.model.known_robots import KnownRobot, installed_robots, known_robot, robot_names
-from armcell.model.loader import load_robot
-from armcell.model.multi_robot import MountedRobot, compose, prefixed
+from armcell.model.loader import KnownRobot, installed_robots, known_robot, load_robot, robot_names
 from armcell.model.robot import (
     Collision,
     EndEffector,

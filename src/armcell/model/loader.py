@@ -1,11 +1,14 @@
-"""Loading of robots by library name, folder, or URDF, xacro or MJCF file: `load_robot`."""
+"""Loading of robots by library name, folder or URDF, xacro or MJCF file, and the robots of the library.
+
+A library robot has the source of its description and its availability.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
 from contextvars import ContextVar
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +16,73 @@ import numpy as np
 
 from armcell.core import SE3, InputError, UnknownNameError
 from armcell.model.assets import resolve_uri
-from armcell.model.composite_groups import with_composite_groups
+from armcell.model.composition import MountedRobot, compose, with_frame
 from armcell.model.grippers import Gripper, SuctionCup, SuctionGripper
-from armcell.model.known_robots import LIBRARY, ROBOT_FILE, known_robot, robot_names
 from armcell.model.limits import with_joint_limits
-from armcell.model.multi_robot import MountedRobot, compose
 from armcell.model.robot import RobotModel
 from armcell.model.setup.arm_detection import with_groups
-from armcell.model.setup.frames import with_frame
 from armcell.model.setup.gripper_detection import find_grippers
 from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config
-from armcell.model.srdf import with_srdf
+from armcell.model.srdf import with_composite_groups, with_srdf
 from armcell.model.untrusted_files import parse_xml, read_text, read_yaml
 from armcell.model.urdf import load_urdf
+
+LIBRARY = Path(__file__).parent / "library"
+ROBOT_FILE = "robot.yaml"
+
+
+@dataclass(frozen=True)
+class KnownRobot:
+    """A robot in armcell's library, with the source of its description.
+
+    Attributes:
+        source: maker, model, and origin of the description with its license.
+        description: web address of the maker's description, if no Python package ships it.
+        package: ROS package of that description that is missing on this machine, or None.
+    """
+
+    name: str
+    source: str
+    description: str = ""
+    package: str | None = None
+
+    @property
+    def hint(self) -> str:
+        """Return a hint on how to install the ROS package that describes a robot.
+        It is empty if the package is present.
+        """
+        if self.package is None or not self.description:
+            return ""
+        return f"get {self.package} from {self.description} and pass --package {self.package}=FOLDER"
+
+
+def robot_names() -> list[str]:
+    """Return the names of the robots in armcell's library."""
+    return sorted(p.parent.name for p in LIBRARY.glob(f"*/{ROBOT_FILE}"))
+
+
+def installed_robots() -> list[str]:
+    """Return the names of the robots in armcell's library whose
+    descriptions are installed on this machine.
+    """
+    return [name for name in robot_names() if known_robot(name).package is None]
+
+
+def known_robot(name: str) -> KnownRobot:
+    """Return a robot's entry in armcell's library, by name. The robot model is not loaded."""
+    folder = LIBRARY / name
+    data = read_yaml(folder / ROBOT_FILE)
+    about = str(data.get("source", "")), str(data.get("description", ""))
+    uri = str(data.get("urdf", data.get("mjcf", "")))
+    package = uri.removeprefix("package://").split("/")[0] if uri.startswith("package://") else None
+    if package is not None:
+        try:
+            resolve_uri(uri, folder)
+            package = None
+        except InputError:
+            pass
+    return KnownRobot(name, *about, package)
+
 
 XacroArgs = Mapping[str, str] | None
 _SOURCES = ("urdf", "mjcf", "parts")

@@ -12,7 +12,7 @@ from typing import Any
 
 from armcell.core import UnknownNameError
 from armcell.moveit.message_classes import MessageClasses
-from armcell.moveit.missing_imports import MESSAGES
+from armcell.moveit.script_hints import MESSAGES
 from armcell.moveit.session import current_session
 
 SHIMS = {

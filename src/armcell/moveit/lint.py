@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from armcell.core import InputError
-from armcell.moveit.missing_imports import CLASSES as TUTORIAL_CLASSES
-from armcell.moveit.missing_imports import METHODS as TUTORIAL_METHODS
+from armcell.moveit.script_hints import CLASSES as TUTORIAL_CLASSES
+from armcell.moveit.script_hints import METHODS as TUTORIAL_METHODS
 from armcell.moveit.shims import moveit_commander
 from armcell.ros.schema import schema
 

@@ -12,7 +12,7 @@ from armcell import _interrupts
 from armcell.cell import Cell, LiveCell
 from armcell.core import InputError
 from armcell.moveit.install_shims import shims_installed
-from armcell.moveit.missing_imports import missing_import
+from armcell.moveit.script_hints import missing_import
 from armcell.moveit.session import Session
 from armcell.ros import Bus, NameMap, Ros1Settings
 

@@ -15,7 +15,7 @@ from armcell.model import RobotModel
 from armcell.moveit.message_classes import MessageClasses
 from armcell.ros import ActionClient, Bus, NameMap, Ros1Graph, Ros1Settings
 from armcell.ros.nodes import ServedCell, ServedPlanner
-from armcell.ros.nodes.robot_description import NAME
+from armcell.ros.robot_description import NAME
 
 logger = logging.getLogger(__name__)
 RECENT = 5  # log lines that `has_logged` searches

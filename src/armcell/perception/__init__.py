@@ -4,14 +4,20 @@ The package is independent of tasks and physics.
 """
 
 from armcell.perception.bag import CameraRecord, cloud_points, depth_pixels, load_record
-from armcell.perception.camera_info import CameraInfo, load_camera_info, rectified, save_camera_info
-from armcell.perception.camera_map import CameraMap, MapSettings, MapUpdate
-from armcell.perception.cloud import organized_cloud
+from armcell.perception.camera_files import (
+    CameraInfo,
+    cloud_image,
+    load_camera_info,
+    load_image,
+    rectified,
+    save_camera_info,
+    save_image,
+)
+from armcell.perception.cloud import SupportPlane, find_plane, organized_cloud
 from armcell.perception.colors import color_distance, color_name
 from armcell.perception.draw import draw_detections
 from armcell.perception.hand_eye import HandEye, calibrate_hand_eye
 from armcell.perception.height_maps import height_map, label_pieces
-from armcell.perception.image_files import cloud_image, load_image, save_image
 from armcell.perception.known_object_pose import closest_equivalent, pose_error
 from armcell.perception.markers import (
     FAMILIES,
@@ -28,9 +34,15 @@ from armcell.perception.object_detection import (
     check_image,
     look,
 )
-from armcell.perception.plane import SupportPlane, find_plane
-from armcell.perception.sensor_map import SensorMap
-from armcell.perception.sensors_3d import Sensor3d, Sensors3d, load_sensors_3d
+from armcell.perception.occupancy_maps import (
+    CameraMap,
+    MapSettings,
+    MapUpdate,
+    Sensor3d,
+    SensorMap,
+    Sensors3d,
+    load_sensors_3d,
+)
 
 __all__ = [
     "FAMILIES",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, CameraImage, InputError, Pinhole
 from armcell.model.untrusted_files import BoundedReader
-from armcell.perception.camera_info import rectified
+from armcell.perception.camera_files import rectified
 from armcell.perception.cloud import meters
 
 F64 = NDArray[np.float64]

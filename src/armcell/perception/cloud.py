@@ -1,11 +1,60 @@
-"""Conversion of a depth image to an organized point cloud: one point per pixel."""
+"""Depth images as organized point clouds: image checks, conversion, clusters and the support plane.
+
+An organized cloud has one point per pixel. The support plane, on which objects rest, is found by
+Fischler and Bolles, "Random sample consensus", Communications of the ACM 24(6), 1981; then least
+squares.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core import InputError, Pinhole
+from armcell.core import SE3, SO3, CameraImage, ErrorCode, InputError, Outcome, Pinhole
+from armcell.core.checks import float_array, is_number, require
+
+
+def check_image_age(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
+    """Return an error outcome if a camera image is older than `max_age` [s] and must not be used.
+    Otherwise return None.
+    """
+    if now is None or now - image.time <= max_age:
+        return None
+    age = now - image.time
+    return Outcome(
+        ErrorCode.SENSOR_INFO_STALE,
+        f"camera {image.camera!r}: the newest picture is {age:.2f} s old, more than {max_age:g} s "
+        "(is the camera frozen? restart it, or raise max_age)",
+        {"age_s": age},
+    )
+
+
+def check_image(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
+    """Return an error outcome if a camera image is too old or has no depth. Otherwise return None."""
+    old = check_image_age(image, max_age, now)
+    if old is not None:
+        return old
+    name = f"camera {image.camera!r}"
+    if image.depth is None:
+        return Outcome(
+            ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA,
+            f"{name} has no depth (use an RGB-D camera: 'depth: true' in the cell file)",
+        )
+    with np.errstate(invalid="ignore"):
+        share = float(np.mean(np.isfinite(image.depth) & (image.depth > 0)))
+    if share < 0.01:
+        what = "no pixel" if share == 0 else f"only {share:.1%} of the pixels"
+        return Outcome(
+            ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA,
+            f"{name}: {what} has a depth (is the lens covered, or everything nearer or farther than it "
+            "measures?)",
+            {"share": share},
+        )
+    return None
+
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -40,3 +89,153 @@ def organized_cloud(depth: ArrayLike, pinhole: Pinhole) -> F64:
     out[..., 1] = ((np.arange(pinhole.height) - pinhole.cy) / pinhole.fy)[:, None] * z
     out[..., 2] = z
     return out
+
+
+def clusters(points: F64, wanted: NDArray[np.bool_], gap: float, smallest: int) -> list[NDArray[np.int64]]:
+    """Segment an organized point cloud into clusters. Return the pixel indices (n,) of each cluster, largest
+    first.
+
+    Args:
+        points: (h, w, 3) [m].
+        wanted: (h, w) mask of the pixels to be clustered; their points are finite.
+        gap: largest distance [m] between neighboring points of a cluster, up to two pixels apart.
+        smallest: clusters with fewer pixels are noise.
+    """
+    labels = _labels(points, wanted, gap).ravel()
+    inside = np.flatnonzero(labels >= 0)
+    order = inside[np.argsort(labels[inside], kind="stable")]
+    _, starts = np.unique(labels[order], return_index=True)
+    found = [part for part in np.split(order, starts[1:]) if len(part) >= smallest]
+    return sorted(found, key=lambda part: -len(part))
+
+
+@njit(cache=True)
+def _root(parent, i):
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@njit(cache=True)
+def _labels(points, wanted, gap):
+    h, w = wanted.shape
+    parent = np.arange(h * w)
+    for v in range(h):
+        for u in range(w):
+            if not wanted[v, u]:
+                continue
+            for dv in range(-2, 1):
+                for du in range(-2, 3):
+                    if (dv == 0 and du >= 0) or v + dv < 0 or u + du < 0 or u + du >= w:
+                        continue
+                    if not wanted[v + dv, u + du]:
+                        continue
+                    d = 0.0
+                    for k in range(3):
+                        d += (points[v, u, k] - points[v + dv, u + du, k]) ** 2
+                    if d <= gap * gap:
+                        a, b = _root(parent, v * w + u), _root(parent, (v + dv) * w + u + du)
+                        parent[max(a, b)] = min(a, b)
+    out = np.full((h, w), -1)
+    for v in range(h):
+        for u in range(w):
+            if wanted[v, u]:
+                out[v, u] = _root(parent, v * w + u)
+    return out
+
+
+MAX_TRIALS = 100_000
+_SUBSET = 1500  # number of points with which trials are evaluated
+
+
+@dataclass(frozen=True, eq=False)
+class SupportPlane:
+    """Support plane n . p = offset found in a point cloud, with the quality of the fit."""
+
+    normal: F64  # (3,) unit vector, toward the supported objects
+    offset: float  # [m]
+    inliers: int
+    rms: float  # [m] rms distance of the inliers
+
+    def __post_init__(self) -> None:
+        float_array(self.normal, (3,), "a plane's normal")
+
+    def heights(self, points: F64) -> F64:
+        """Return the heights (...) [m] of points (..., 3) above the support plane; negative below it."""
+        return float_array(points, (-1, 3), "points", finite=False) @ self.normal - self.offset
+
+    def frame(self, point: F64) -> SE3:
+        """Return a frame on the detected support plane whose origin is the projection of a given point.
+
+        The z axis is the plane's normal. The shortest rotation from the world frame determines x and y.
+        """
+        point = float_array(point, (3,), "a point")
+        R = SO3.between([0.0, 0.0, 1.0], self.normal)
+        return SE3(R, point - (point @ self.normal - self.offset) * self.normal)
+
+
+def find_plane(
+    points: F64, up: F64, max_tilt: float, thickness: float, seed: int = 0, trials: int = 120
+) -> SupportPlane | None:
+    """Find the plane that supports the most points of a point cloud (n, 3), by RANSAC and least squares.
+
+    The result is None if no trial finds a valid plane.
+
+    Args:
+        up: (3,) direction from which the plane's normal may deviate by `max_tilt` [rad].
+        thickness: points within this distance [m] belong to the plane.
+        seed: seed of the random trials.
+        trials: number of random planes.
+    """
+    points, up = float_array(points, (None, 3), "points"), float_array(up, (3,), "up")
+    for name, value in (("max_tilt", max_tilt), ("thickness", thickness), ("trials", trials)):
+        require(is_number(value), f"{name} is {value!r}, it must be a finite number")
+    require(0 < trials <= MAX_TRIALS, f"trials is {trials}, it must be 1 to {MAX_TRIALS}")
+    if len(points) < 3:
+        return None
+    rng = np.random.default_rng(seed)
+    some = points[rng.integers(0, len(points), min(_SUBSET, len(points)))]
+    picks = rng.integers(0, len(some), (trials, 3))
+    best = _best_trial(some, picks, up, np.cos(max_tilt), thickness)
+    if best < 0:
+        return None
+    a, b, c = some[picks[best]]
+    n = np.cross(b - a, c - a)
+    n /= np.linalg.norm(n)
+    offset, near = float(n @ a), np.zeros(0, bool)
+    for _ in range(3):
+        near = np.abs(points @ n - offset) <= thickness
+        if near.sum() < 3:
+            return None
+        middle = points[near].mean(axis=0)
+        d = points[near] - middle
+        _, vectors = np.linalg.eigh(d.T @ d)
+        n = vectors[:, 0]
+        offset = float(n @ middle)
+    if n @ up < 0:
+        n, offset = -n, -offset
+    rms = float(np.sqrt(np.mean((points[near] @ n - offset) ** 2)))
+    return SupportPlane(n, offset, int(near.sum()), rms)
+
+
+@njit(cache=True)
+def _best_trial(points, picks, up, least_cosine, thickness):
+    best, most = -1, 0
+    for k in range(len(picks)):
+        a, b, c = points[picks[k, 0]], points[picks[k, 1]], points[picks[k, 2]]
+        n = np.cross(b - a, c - a)
+        length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+        if length < 1e-9:
+            continue
+        n /= length
+        if abs(n[0] * up[0] + n[1] * up[1] + n[2] * up[2]) < least_cosine:
+            continue
+        offset = n[0] * a[0] + n[1] * a[1] + n[2] * a[2]
+        count = 0
+        for i in range(len(points)):
+            p = points[i]
+            count += abs(n[0] * p[0] + n[1] * p[1] + n[2] * p[2] - offset) <= thickness
+        if count > most:
+            best, most = k, count
+    return best

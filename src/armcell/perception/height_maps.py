@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from armcell.collision import robot_mask
 from armcell.core import CameraImage, HeightMap
-from armcell.perception.cloud import organized_cloud
-from armcell.perception.segment import clusters
+from armcell.perception.cloud import clusters, organized_cloud
 from armcell.scene import PlanningScene
 
 F64 = NDArray[np.float64]

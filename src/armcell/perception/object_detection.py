@@ -28,13 +28,10 @@ from armcell.core import (
 )
 from armcell.core.checks import checked
 from armcell.core.geometry import local_bounds
-from armcell.perception.cloud import organized_cloud
+from armcell.perception.cloud import SupportPlane, check_image, clusters, find_plane, organized_cloud
 from armcell.perception.colors import color_distance
-from armcell.perception.image_checks import check_image
 from armcell.perception.known_object_pose import Match, closest_equivalent, match_known, rough_match
-from armcell.perception.plane import SupportPlane, find_plane
 from armcell.perception.primitives import fit_primitives
-from armcell.perception.segment import clusters
 from armcell.perception.solid_fit import CameraEvidence
 from armcell.perception.solids import solid_of
 from armcell.scene import CollisionObject, PlanningScene

@@ -20,7 +20,8 @@ from armcell.planning.diagnosis import (
     explain_start,
 )
 from armcell.planning.diagnosis.explain import explain, solve_ik
-from armcell.planning.goals.targets import Target, goal_of
+from armcell.planning.first_compile import prepare_group, warm_up
+from armcell.planning.goals.joint_goals import Target, goal_of
 from armcell.planning.moving_obstacles import plan_around_moving_obstacles
 from armcell.planning.multi_arm import (
     CarriedObject,
@@ -41,7 +42,6 @@ from armcell.planning.planners.registry import (
     pipelines,
     planner_defaults,
 )
-from armcell.planning.warm_up import prepare_group, warm_up
 
 __all__ = [
     "ArmClearance",

@@ -30,9 +30,10 @@ from armcell.planning.arm_clearance import ArmClearance, achievable_arm_clearanc
 from armcell.planning.certify import PlannedMotion, certify_request_motion, clearance_along
 from armcell.planning.constraints.plan import check_planner, plan_constrained
 from armcell.planning.diagnosis import with_explanation
+from armcell.planning.first_compile import warm_up, warm_up_ik
 from armcell.planning.goals.joint_goals import find_joint_goals, stream_goals
 from armcell.planning.moved_frame import MovedFrame
-from armcell.planning.pilz.plan import plan_pilz, validate_pilz_request
+from armcell.planning.pilz.generators import plan_pilz, validate_pilz_request
 from armcell.planning.planners.chomp import smooth_with_chomp
 from armcell.planning.planners.problem import PlannerResult, Problem, sampling_bounds
 from armcell.planning.planners.registry import PILZ, pipeline_for
@@ -40,7 +41,6 @@ from armcell.planning.planners.rrt_connect import simplify
 from armcell.planning.planners.trajectory_optimization import path_validity
 from armcell.planning.request import ValidatedRequest, validate_request
 from armcell.planning.start_in_contact import leave_start_contact
-from armcell.planning.warm_up import warm_up, warm_up_ik
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]

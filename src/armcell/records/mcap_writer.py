@@ -1,11 +1,11 @@
-"""MCAP writer for runs, with ROS 2 messages that Foxglove and `ros2 bag` can open.
+"""MCAP writer for runs, with ROS 2 messages for Foxglove and `ros2 bag`, and the JSON form of objects.
 
 Topics: /joint_states, /joint_targets (commanded positions), /gripper_states (width as position, force as
 effort), /contacts (JSON in a String), /tf, /tf_static, /object_pose/<name>, /planned_trajectory, /events
 (JSON in a String), /camera/<name>/compressed if requested and, if the URDF's text is available,
 /robot_description. Frames: "world" is the root; the robot's links follow its kinematic tree, objects are
-direct children. The /tf message is the last message of a state. MCAP metadata: "armcell.run" describes the
-run, "armcell.result" its result.
+direct children. The /tf message is the last message of a state. MCAP metadata: "armcell.run" describes
+the run, "armcell.result" its result. Objects that are added to a scene during a run are written as JSON.
 """
 
 from __future__ import annotations
@@ -25,11 +25,71 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike, NDArray
 from rosbags.typesys import Stores, get_typestore
 
-from armcell.core import SE3, SO3, Contact, Event, JointState, JointTrajectory, StateSample
+from armcell.core import (
+    SE3,
+    SO3,
+    Contact,
+    Event,
+    JointState,
+    JointTrajectory,
+    Mesh,
+    Shape,
+    StateSample,
+    make_shape,
+    shape_kind,
+    shape_name,
+    shapes,
+)
 from armcell.kinematics import kinematic_tree
-from armcell.records.object_data import object_data, pose_data
 from armcell.records.write_behind import WriteBehindFile
 from armcell.scene import WORLD, CollisionObject, PlanningScene
+
+
+def pose_data(T: SE3) -> dict[str, Any]:
+    return {"xyz": T.translation.tolist(), "quat_xyzw": T.quat_xyzw.tolist()}
+
+
+def object_data(item: CollisionObject) -> dict[str, Any]:
+    """Convert the shapes and properties of a scene object to JSON data for the record of a run.
+
+    Point clouds and octrees are stored by name only, because they are large and may arrive ten times a
+    second.
+    """
+    return {
+        "shapes": [{**_shape_data(shape), "pose": pose_data(T)} for shape, T in item.shapes],
+        "pose": pose_data(item.T_world_object),
+        "color": [float(c) for c in item.color],
+        "movable": item.movable,
+    }
+
+
+def object_of(name: str, data: dict[str, Any]) -> CollisionObject | None:
+    """Create a scene object from JSON data in a record.
+    Return None if the record contains no shapes for it.
+    """
+    shapes = [
+        (shape, SE3.from_mapping(each["pose"], "pose"))
+        for each in data["shapes"]
+        if (shape := _shape_of(each)) is not None
+    ]
+    if not shapes:
+        return None
+    pose = SE3.from_mapping(data["pose"], "pose")
+    return CollisionObject(name, tuple(shapes), pose, color=tuple(data["color"]), movable=data["movable"])
+
+
+def _shape_data(shape: Shape) -> dict[str, Any]:
+    kind = shape_kind(shape)
+    if kind is None and isinstance(shape, Mesh):
+        return {"mesh": {"vertices": shape.vertices.tolist(), "faces": shape.faces.tolist()}}
+    return {shape_name(shape): [] if kind is None else kind.values(shape)}
+
+
+def _shape_of(data: dict[str, Any]) -> Shape | None:
+    if "mesh" in data:
+        return Mesh(np.array(data["mesh"]["vertices"], float), np.array(data["mesh"]["faces"], int))
+    return next((make_shape(name, sizes) for name, sizes in data.items() if name in shapes), None)
+
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)

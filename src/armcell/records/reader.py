@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, Contact, Event, InputError, JointState, JointTrajectory, StateSample
 from armcell.model.untrusted_files import BoundedReader
-from armcell.records.mcap_writer import ABOUT, NANO, RESULT, typestore
+from armcell.records.mcap_writer import ABOUT, NANO, RESULT, object_of, typestore
 from armcell.records.metadata import checked_metadata
-from armcell.records.object_data import object_of
 from armcell.records.recorder import MCAP_FILE
 from armcell.scene import PlanningScene
 

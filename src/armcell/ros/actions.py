@@ -19,7 +19,7 @@ from typing import Any
 
 from armcell.core import ArmcellError, ErrorCode, InputError
 from armcell.ros.bus import Bus
-from armcell.ros.failure_responses import write_failure
+from armcell.ros.faults import write_failure
 from armcell.ros.names import resolve
 
 logger = logging.getLogger(__name__)

@@ -140,7 +140,7 @@ class Ros1Transport:
     def __init__(
         self, bus: Bus, address: str = "", settings: Ros1Settings | None = None, keep: tuple[str, ...] = ()
     ):
-        from armcell.ros.nodes.robot_description import NAME
+        from armcell.ros.robot_description import NAME
         from armcell.ros.ros1 import from_environment
 
         settings = settings or from_environment("armcell", bind=address or None)

@@ -1,6 +1,5 @@
 """The planning scene: robot state, collision objects and allowed collisions, all immutable."""
 
-from armcell.scene.depth import depth_points
 from armcell.scene.diff import (
     OCTOMAP,
     AddObject,
@@ -19,27 +18,26 @@ from armcell.scene.diff import (
     SetPadding,
     SetState,
     SetType,
+    new_obstacles,
+    scene_changes,
     with_octomap,
 )
-from armcell.scene.extent import extent
-from armcell.scene.inertia import solid_inertia
 from armcell.scene.mesh_object import MeshFacts, check_mesh, mesh_facts, mesh_object
-from armcell.scene.moving_object import MovingObject
 from armcell.scene.object_library import ObjectKind, library, library_object, object_names
 from armcell.scene.objects import (
     DEFAULT_DENSITY,
     CollisionObject,
     Material,
+    MovingObject,
     ObjectType,
     ScrewThread,
     shape_volume,
+    solid_inertia,
 )
 from armcell.scene.octomap import OccupancyMap, SensorModel
-from armcell.scene.octree_file import load_octree, octree_from_bytes
-from armcell.scene.octree_writer import octree_bytes, save_octree
-from armcell.scene.point_cloud_file import load_obstacle, load_points
-from armcell.scene.scene import WORLD, AttachedBody, PlanningScene
-from armcell.scene.scene_changes import new_obstacles, scene_changes
+from armcell.scene.octree_file import load_octree, octree_bytes, octree_from_bytes, save_octree
+from armcell.scene.point_clouds import depth_points, load_obstacle, load_points
+from armcell.scene.scene import WORLD, AttachedBody, PlanningScene, extent
 from armcell.scene.scene_file import load_scene_file, save_scene_file
 
 __all__ = [

@@ -1,8 +1,12 @@
-"""Collision objects: shapes, pose, mass, friction and other physical properties."""
+"""Collision objects: shapes, pose, mass, inertia, friction, and obstacles with a known motion.
+
+Center of mass and inertia of solid objects serve physics and payloads. Obstacles with a known motion
+are, for example, a box on a conveyor, a door or another arm's load.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -265,3 +269,150 @@ def shape_volume(shape: Shape) -> float:
             return float(len(shape.points) * 4 / 3 * np.pi * shape.radius**3)
         case Plane():
             return 0.0
+
+
+F64 = NDArray[np.float64]
+
+
+def _unit_inertia(shape: Shape) -> tuple[F64, F64]:
+    """Return the center of mass (3,) [m] and the inertia (3, 3) [m^2] of
+    a shape with uniform density and a mass of 1 kg.
+
+    The inertia is relative to the center of mass. A mesh that is not closed counts as its convex hull.
+    """
+    match shape:
+        case Box():
+            x, y, z = shape.x**2, shape.y**2, shape.z**2
+            return np.zeros(3), np.diag([y + z, x + z, x + y]) / 12
+        case Sphere():
+            return np.zeros(3), np.eye(3) * 0.4 * shape.radius**2
+        case Cylinder():
+            r, h = shape.radius**2, shape.length**2
+            return np.zeros(3), np.diag([r / 4 + h / 12, r / 4 + h / 12, r / 2])
+        case Cone():
+            r, h = shape.radius**2, shape.length**2
+            side = 3 / 20 * r + 3 / 80 * h
+            return np.array([0, 0, -shape.length / 4]), np.diag([side, side, 0.3 * r])
+        case Capsule():
+            r, h = shape.radius, shape.length
+            ball = 4 / 3 * r / (h + 4 / 3 * r)  # fraction of the mass in the two hemispheres
+            rod = 1 - ball
+            axial = rod * r**2 / 2 + ball * 0.4 * r**2
+            side = rod * (r**2 / 4 + h**2 / 12) + ball * (0.4 * r**2 + h**2 / 4 + 3 / 8 * h * r)
+            return np.zeros(3), np.diag([side, side, axial])
+        case Mesh():
+            import trimesh
+
+            mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
+            if not (is_closed(shape) and abs(mesh.volume) > 0):
+                mesh = mesh.convex_hull
+            return np.array(mesh.center_mass), np.array(mesh.moment_inertia) / mesh.volume
+        case Plane() | PointCloud() | Octree():
+            raise ValueError(f"a {type(shape).__name__} does not move: it has no inertia")
+
+
+def solid_inertia(shapes: Iterable[tuple[Shape, SE3]], mass: float) -> tuple[F64, F64]:
+    """Return the center of mass (3,) [m] of an object and its inertia (3, 3) [kg m^2] about that center.
+
+    Both are in the object's frame. The mass is distributed evenly over the shapes' volumes; overlaps count
+    twice.
+
+    Args:
+        shapes: (shape, T_object_shape) pairs.
+        mass: total mass [kg].
+    """
+    parts = []
+    volumes = []
+    for shape, T in shapes:
+        center, inertia = _unit_inertia(shape)
+        R = T.rotation.matrix
+        parts.append((T.apply(center), R @ inertia @ R.T))
+        volumes.append(shape_volume(shape))
+    masses = mass * np.array(volumes) / sum(volumes)
+    center = masses @ np.array([c for c, _ in parts]) / mass
+    total = np.zeros((3, 3))
+    for m, (c, inertia) in zip(masses, parts, strict=True):
+        d = c - center
+        total += m * (inertia + (d @ d) * np.eye(3) - np.outer(d, d))
+    return center, total
+
+
+@dataclass(frozen=True, eq=False)
+class MovingObject:
+    """Moving obstacle with a known motion: an object whose poses are given at times (k,) [s].
+
+    Between two times the object moves in a straight line and turns evenly; before the first and after the
+    last time it is at rest. `object.T_world_object` is ignored.
+    """
+
+    object: CollisionObject
+    times: F64
+    poses: tuple[SE3, ...]  # T_world_object
+
+    def __post_init__(self) -> None:
+        name, times = self.object.name, np.array(float_array(self.times, None, "times", finite=False))
+        object.__setattr__(self, "times", times)
+        if times.ndim != 1 or len(times) == 0 or len(times) != len(self.poses):
+            raise InputError(f"moving object {name!r} has {len(self.poses)} poses at {times.size} times")
+        if not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0):
+            raise InputError(f"moving object {name!r}: its times must be finite and increase")
+        if self.object.has_cloud or not np.isfinite(self.reach):
+            raise InputError(f"moving object {name!r}: a cloud or plane cannot move")
+        # Upper bound of the distance [m] that any point of the object has moved by each time.
+        far = [a.distance_to(b) for a, b in zip(self.poses, self.poses[1:], strict=False)]
+        steps = [meters + radians * self.reach for meters, radians in far]
+        object.__setattr__(self, "_travelled", np.concatenate([[0.0], np.cumsum(steps)]))
+
+    @property
+    def name(self) -> str:
+        return self.object.name
+
+    @property
+    def reach(self) -> float:
+        """Return an upper bound on the distance [m] from the origin
+        of a moving obstacle to any of its points.
+        """
+        found = 0.0
+        for shape, T in self.object.shapes:
+            center, half = local_bounds(shape)
+            limit = np.inf if half.max() >= 50 else np.linalg.norm(half)  # a plane is infinite
+            found = max(found, float(np.linalg.norm(T.apply(center)) + limit))
+        return found
+
+    def pose(self, t: float) -> SE3:
+        """Return the pose T_world_object of a moving obstacle at time `t` [s]."""
+        i = int(np.searchsorted(self.times, t, side="right")) - 1
+        if i < 0:
+            return self.poses[0]
+        if i >= len(self.times) - 1:
+            return self.poses[-1]
+        share = (t - self.times[i]) / (self.times[i + 1] - self.times[i])
+        return self.poses[i].interpolate(self.poses[i + 1], float(share))
+
+    def travel(self, t0: float, t1: float) -> float:
+        """Return an upper bound on how far [m] a moving object of the scene travels between the times t0 and
+        t1 [s].
+
+        The bound holds for every point of the object.
+        """
+        a, b = np.interp([t0, t1], self.times, self._travelled)  # pyright: ignore[reportAttributeAccessIssue]
+        return float(b - a)
+
+    def swept(self, t0: float, t1: float, step: float = 0.02, most: int = 200) -> CollisionObject:
+        """Return one fixed object that consists of copies of a moving object along its path between the times
+        t0 and t1.
+
+        The result does not cover the space between the copies, so a motion planned around it must still be
+        checked against the moving object at its times.
+
+        Args:
+            t0, t1: start and end time [s].
+            step: largest travel between two copies [m].
+            most: maximum number of intervals between copies.
+        """
+        count = int(np.clip(np.ceil(self.travel(t0, t1) / step), 1, most)) + 1
+        fine = np.union1d(np.linspace(t0, t1, 20 * count), self.times[(self.times > t0) & (self.times < t1)])
+        way = np.interp(fine, self.times, self._travelled)  # pyright: ignore[reportAttributeAccessIssue]
+        at = np.interp(np.linspace(way[0], way[-1], count), way, fine) if way[-1] > way[0] else [t0]
+        shapes = [(shape, self.pose(float(t)) @ T) for t in at for shape, T in self.object.shapes]
+        return CollisionObject(self.name, tuple(shapes), color=self.object.color)

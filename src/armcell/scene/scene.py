@@ -1,4 +1,7 @@
-"""`PlanningScene`: an immutable robot state with collision objects and allowed collisions."""
+"""`PlanningScene`: an immutable robot state with objects, allowed collisions, and its extent for viewers.
+
+Allowed collisions have per-body defaults in addition to body pairs.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,39 @@ from armcell.core import SE3, InputError, JointState, UnknownNameError
 from armcell.core.checks import checked, float_array
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
-from armcell.scene.allowed_collisions import explicit_allowed_pairs, without_allowed_entries
 from armcell.scene.objects import CLOUDS_STAND, USE_A_SOLID, CollisionObject
 
 if TYPE_CHECKING:
     from armcell.scene.diff import SceneDiff
+
+
+def explicit_allowed_pairs(scene: PlanningScene) -> Mapping[frozenset[str], bool]:
+    """Return the allowed collision pairs of a scene.
+    Defaults for single bodies are expanded to pairs of bodies.
+
+    An entry for a pair takes precedence over defaults. If the defaults of two bodies disagree, their contact
+    is not allowed, as in MoveIt's AllowedCollisionMatrix.
+
+    Returns:
+        Pair of body names -> whether their contact is allowed.
+    """
+    pairs = dict(scene.allowed_pairs)
+    bodies = [*scene.model.links, *scene.objects, *scene.attached]
+    for name, allow in scene.allowed_defaults.items():
+        for other in bodies:
+            if allow and other != name and scene.allowed_defaults.get(other, True):
+                pairs.setdefault(frozenset((name, other)), True)
+    return pairs
+
+
+def without_allowed_entries(scene: PlanningScene, name: str) -> PlanningScene:
+    """Return the scene without any allowed-collision entries for a given body."""
+    return replace(
+        scene,
+        allowed_pairs={pair: allow for pair, allow in scene.allowed_pairs.items() if name not in pair},
+        allowed_defaults={k: allow for k, allow in scene.allowed_defaults.items() if k != name},
+    )
+
 
 Array = NDArray[np.float64]
 WORLD = "world"
@@ -362,3 +393,21 @@ class PlanningScene:
             InputError: a change cannot be applied; the message says which change and why.
         """
         return diff.applied_to(self)
+
+
+LARGE = 2.0  # [m] an object that extends farther from its origin counts as surroundings
+
+
+def extent(scene: PlanningScene) -> tuple[NDArray[np.float64], float]:
+    """Return the extent of a scene for a viewer's initial view,
+    as center (3,) [m, world frame] and radius [m].
+
+    The view covers the origins of all links and of all objects that extend less than 2 m from their origin;
+    larger objects count as surroundings.
+    """
+    points = [*kinematic_tree(scene.model).link_transforms(scene.positions)[:, :3, 3]]
+    points += [
+        item.T_world_object.translation for item in scene.objects.values() if item.bounds()[1].max() < LARGE
+    ]
+    low, high = np.min(points, axis=0), np.max(points, axis=0)
+    return (low + high) / 2, max(0.5, float(np.linalg.norm(high - low)) / 2)

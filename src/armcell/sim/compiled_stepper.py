@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.sim.array_pointers import addresses_of
-from armcell.sim.built_model import BuiltModel
 from armcell.sim.contacts import ContactMonitor
+from armcell.sim.friction import HeldObjectCorrection
 from armcell.sim.gripper_servos import Fingers
-from armcell.sim.held_object_correction import HeldObjectCorrection
+from armcell.sim.mujoco_model import BuiltModel
 from armcell.sim.pair_culling import PairCulling
 from armcell.sim.servo import Controls
 from armcell.sim.step_kernel import FIXED, LIBRARY, take_steps

@@ -1,4 +1,4 @@
-"""Contacts by body name, and a monitor that checks the contacts of every physics step."""
+"""Contacts by body name, a monitor that checks them in every step, and the contact wrench on a gripper."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from armcell.core import UnknownNameError
-from armcell.sim.built_model import BuiltModel
+from armcell.sim.mujoco_model import BuiltModel
+from armcell.sim.step_kernel import add_about, hand_contacts
 
-Array = NDArray[np.float64]
+F64 = NDArray[np.float64]
 
 _FEW, _KEPT = 30, 10_000
 """Limits of the monitor's cache: up to `_KEPT` contact lists of at most `_FEW` contacts.
@@ -200,7 +201,7 @@ class ContactMonitor:
         )
         self._fine: set[bytes] = set()  # contact lists, as bytes, that contain no unwanted contact
 
-    def _record(self, data: mujoco.MjData, geoms: NDArray[np.int32], distances: Array) -> None:
+    def _record(self, data: mujoco.MjData, geoms: NDArray[np.int32], distances: F64) -> None:
         deepest: dict[frozenset[str], tuple[str, str, float]] = {}
         for (ga, gb), distance in zip(geoms.tolist(), distances.tolist(), strict=True):
             a, b = (self._built.owners[self._built.geom_owner[g]] for g in (ga, gb))
@@ -221,3 +222,25 @@ class ContactMonitor:
         allowed, watched, found = state
         self._allowed, self._watched, self._found = set(allowed), set(watched), dict(found)
         self._rule()
+
+
+def hand_wrench(built: BuiltModel, data: mujoco.MjData, gripper: str) -> F64:
+    """Return the wrench (6,) that a six-axis sensor measures on a gripper: force [N], then torque [Nm] about
+    the tcp.
+
+    The wrench has world axes and includes all contacts of the last step. It excludes the hand's own weight,
+    like a sensor that compensates the tool's weight.
+    """
+    count, index, total = data.ncon, built.grippers[gripper], np.zeros(6)
+    if count == 0:
+        return total
+    contact = data.contact
+    which, signs, wrenches = np.empty(count, np.int64), np.empty(count), np.empty((count, 6))
+    found = hand_contacts(
+        built.mj._address, data._address, contact.geom, built.geom_owner, index.hand, which, signs, wrenches
+    )
+    which = which[:found]
+    axes = contact.frame[which].reshape(-1, 3, 3)  # axes as rows; the first points from geom 1 to geom 2
+    felt = signs[:found, None, None] * (wrenches[:found].reshape(-1, 2, 3) @ axes)
+    add_about(which, contact.pos, data.xpos[index.tcp_body], felt, total)
+    return total

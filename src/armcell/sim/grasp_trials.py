@@ -24,8 +24,7 @@ from armcell.core.geometry import extent
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel, SuctionGripper, hand_alone
 from armcell.scene import CollisionObject, PlanningScene, solid_inertia
-from armcell.sim.build import build
-from armcell.sim.built_model import BuiltModel
+from armcell.sim.mujoco_model import BuiltModel, build
 from armcell.sim.robot import servo_gains
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.suction import Suction

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3
 from armcell.model import SuctionGripper
-from armcell.sim.built_model import BuiltModel, GripperIndex
+from armcell.sim.mujoco_model import BuiltModel, GripperIndex
 from armcell.sim.robot import servo_gains
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.step_kernel import (

@@ -19,8 +19,7 @@ import mujoco
 
 from armcell.collision.kernel.lru_cache import LruCache
 from armcell.scene import CollisionObject, PlanningScene
-from armcell.sim.build import build, scene_objects, set_options
-from armcell.sim.built_model import BuiltModel
+from armcell.sim.mujoco_model import BuiltModel, build, scene_objects, set_options
 from armcell.sim.objects import add_free_body, friction_coefficients
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.step_kernel import LIBRARY

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.sim.built_model import BuiltModel
+from armcell.sim.mujoco_model import BuiltModel
 from armcell.sim.step_kernel import ALL
 
 Array = NDArray[np.float64]

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, CameraImage, InputError
 from armcell.scene import WORLD
-from armcell.sim.build import RENDER_CAMERA, build
-from armcell.sim.built_model import BuiltModel
 from armcell.sim.camera import Camera
 from armcell.sim.decals import geom_name
 from armcell.sim.gl import GLRenderer, gl_backend
 from armcell.sim.gripper_servos import body_pose
+from armcell.sim.mujoco_model import RENDER_CAMERA, BuiltModel, build
 from armcell.sim.shapes import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP
 from armcell.sim.world import SimWorld
 

@@ -1,4 +1,4 @@
-"""The robot in a MuJoCo model: bodies, joints, geoms, and actuators."""
+"""The robot in a MuJoCo model: bodies, joints, geoms, actuators, and attachment of its MJCF parts."""
 
 from __future__ import annotations
 
@@ -11,12 +11,57 @@ import numpy as np
 from armcell.core import SE3, Mesh
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR
+from armcell.model.mjcf.spec import physics_spec
+from armcell.model.robot import MjcfPart
 from armcell.scene import WORLD, PlanningScene
 from armcell.sim.joint_gains import arm_joints, check_joint_gains, effective_gains
-from armcell.sim.mjcf_parts import attach_part, mjcf_links
 from armcell.sim.settings import PhysicsSettings
-from armcell.sim.shapes import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP, GeomAdder, full_inertia
-from armcell.sim.visuals import visual_parts
+from armcell.sim.shapes import (
+    COLLISION_GROUP,
+    OBJECT_GROUP,
+    VISUAL_GROUP,
+    GeomAdder,
+    full_inertia,
+    visual_parts,
+)
+
+
+def mjcf_links(model: RobotModel) -> dict[str, MjcfPart]:
+    """Return the MJCF part that contains each robot link, by link name. Other links have no entry."""
+    return {link: part for part in model.mjcf for link in part.links if link in model.links}
+
+
+def attach_part(spec: Any, parent: Any, model: RobotModel, link: str, T_parent_link: SE3) -> dict[str, Any]:
+    """Attach the bodies of an MJCF part to a MuJoCo spec, starting at a given link.
+    Return the attached bodies by link.
+
+    The bodies keep their inertias, contact parameters, joint parameters, equalities, tendons and excludes;
+    names get the part's prefix.
+
+    Args:
+        spec: the MjSpec of the physics model.
+        parent: its body that carries the link.
+        T_parent_link: pose of the link, with its joint at zero.
+    """
+    part = mjcf_links(model)[link]
+    child = physics_spec(part.text).copy()
+    child.option, child.visual, child.stat = spec.option, spec.visual, spec.stat  # the cell's settings apply
+    names = {body.name for body in child.bodies}
+    own = link.removeprefix(part.prefix)
+    pose = {"pos": T_parent_link.translation, "quat": T_parent_link.quat_wxyz}
+    if own in names:
+        body = child.body(own)
+        # The body's own pose relative to its parent is part of T_parent_link.
+        body.pos, body.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+        body.alt.type = 0
+        for joint in list(body.joints):
+            child.delete(joint)
+        parent.add_frame(**pose).attach_body(body, part.prefix, "")
+        return {name: spec.body(name) for name in model.subtree(link) if name in part.links}
+    root = parent.add_body(name=link, **pose)  # the frame of the MJCF's world
+    spec.attach(child, prefix=part.prefix, frame=root.add_frame())
+    return {name: root if name == link else spec.body(name) for name in part.links if name in model.links}
+
 
 _TINY_MASS, _TINY_INERTIA = 1e-4, 1e-7
 

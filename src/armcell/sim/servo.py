@@ -1,17 +1,67 @@
-"""Position control of the arm joints, by MuJoCo's servos or by armcell's torque PID."""
+"""Position control of the arm joints by MuJoCo's servos or torque PID, and joint targets of each tick."""
 
 from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import InputError
-from armcell.sim.built_model import BuiltModel
 from armcell.sim.joint_gains import effective_gains
+from armcell.sim.mujoco_model import BuiltModel
 from armcell.sim.settings import PhysicsSettings
 
-Array = NDArray[np.float64]
+F64 = NDArray[np.float64]
+
+AHEAD = 2.0  # [s] length of a batch
+
+
+class JointTargets:
+    """Joint targets of a simulated motion at every tick, sampled ahead of time in batches.
+
+    Attributes:
+        steps: physics steps per tick.
+    """
+
+    def __init__(self, wanted: Callable[[F64], tuple[F64, F64]], timestep: float, steps: int):
+        """Store the function that yields the joint targets of a motion.
+
+        Args:
+            wanted: function from times (k,) [s], at which ticks begin, to finite positions and velocities (k,
+                n).
+            timestep: physics time step [s].
+            steps: physics steps per tick.
+        """
+        self._wanted, self._dt, self.steps = wanted, timestep, steps
+        self._times: list[float] = []
+        self._rows = np.zeros((0, 0))
+
+    def between(self, now: float, until: float) -> F64:
+        """Return the joint targets (k, 2n) of a simulated motion for all
+        ticks that start in the interval [`now`, `until`) [s].
+
+        Each row holds the positions, then the velocities. The result has at least one row.
+        """
+        times = self._times
+        first = bisect_left(times, now)
+        if first == len(times) or times[first] != now or times[-1] < until:
+            self._look_ahead(now, max(until, now + AHEAD))
+            times, first = self._times, 0
+        end = max(bisect_left(times, until, first), first + 1)
+        return self._rows[first:end]
+
+    def _look_ahead(self, now: float, end: float) -> None:
+        count = int((end - now) / (self._dt * self.steps)) + 2
+        steps = np.full(count * self.steps, self._dt)
+        steps[0] = now
+        times = np.cumsum(steps)[:: self.steps]  # adds step by step like MuJoCo, so the rounding is the same
+        self._times = times.tolist()
+        self._rows = np.concatenate(self._wanted(times), axis=1)
+
+
 Controls = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 """Indices (n,) of joints in `ArmServo.target` and of their inputs in MuJoCo's ctrl.
 
@@ -52,7 +102,7 @@ class ArmServo:
         at = np.array([self._at[c] for c in columns], dtype=int)
         return at, self._pos[at], self._vel[at]
 
-    def command(self, data: mujoco.MjData, controls: Controls, q: Array, v: Array) -> None:
+    def command(self, data: mujoco.MjData, controls: Controls, q: F64, v: F64) -> None:
         """Set target positions and velocities of the arm servo for the joints at the indices `controls`.
 
         Args:
@@ -67,7 +117,7 @@ class ArmServo:
             if self._feeds_velocity:
                 data.ctrl[velocity] = v
 
-    def apply(self, controls: Controls, torque: Array) -> None:
+    def apply(self, controls: Controls, torque: F64) -> None:
         """Apply efforts (n,) [Nm or N] to arm joints until the next target is set.
         Meanwhile the servo's PID control is off.
 
@@ -80,7 +130,7 @@ class ArmServo:
             )
         self._torque[controls[0]] = torque
 
-    def hold(self, data: mujoco.MjData, q: Array) -> None:
+    def hold(self, data: mujoco.MjData, q: F64) -> None:
         """Make the arm servo hold all joints at positions q (dof,), and reset the integral terms of its PID
         control.
         """
@@ -98,8 +148,8 @@ class ArmServo:
         law = self._kp * error + damping + clamped + self._feedforward * self.speed
         data.ctrl[self._pos] = np.where(np.isnan(self._torque), law, self._torque)
 
-    def get_state(self) -> tuple[Array, ...]:
+    def get_state(self) -> tuple[F64, ...]:
         return self.target.copy(), self.speed.copy(), self.integral.copy(), self._torque.copy()
 
-    def set_state(self, state: tuple[Array, ...]) -> None:
+    def set_state(self, state: tuple[F64, ...]) -> None:
         self.target, self.speed, self.integral, self._torque = (values.copy() for values in state)

@@ -1,4 +1,4 @@
-"""Conversion of collision and visual shapes to MuJoCo geoms."""
+"""Conversion of collision and visual shapes to MuJoCo geoms, and loading of a link's visual meshes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.convex_decomposition import convex_pieces
-from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
+from armcell.core import (
+    SE3,
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    InputError,
+    Mesh,
+    Octree,
+    Plane,
+    PointCloud,
+    Shape,
+    Sphere,
+)
+from armcell.model import Visual
+from armcell.model.assets import Color, load_visual_parts
 
 logger = logging.getLogger(__name__)
 
@@ -108,3 +123,23 @@ def full_inertia(inertia: NDArray[np.float64]) -> list[float]:
     The order is xx, yy, zz, xy, xz, yz.
     """
     return [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+
+
+log = logging.getLogger(__name__)
+
+
+def visual_parts(visual: Visual) -> tuple[tuple[Mesh, Color], ...]:
+    """Load the meshes [m, visual frame] of a link's visual element, with their RGBA colors, for the
+    simulation.
+
+    A mesh file that cannot be read is logged and yields no meshes: an image without one link is better than
+    no run.
+    """
+    if visual.file is None:
+        return ()
+    try:
+        parts = load_visual_parts(visual.file, visual.scale)
+    except InputError as error:
+        log.warning("visual mesh is not drawn: %s", error)
+        return ()
+    return parts if visual.color is None else tuple((mesh, visual.color) for mesh, _ in parts)

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, types
 
 from armcell.sim.array_pointers import matrix, vector
-from armcell.sim.held_object_correction import HOLDING, carry, holding
+from armcell.sim.friction import HOLDING, carry, holding
 from armcell.sim.suction import draw_vacuum
 
 SET_POINT, TARGET, LEAD, STEP, PUSH_STEP, BLOCKED_LEAD, CONTROL = range(7)

@@ -23,8 +23,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from armcell.model import SuctionGripper
-from armcell.sim.built_model import BuiltModel
 from armcell.sim.cups import RING
+from armcell.sim.mujoco_model import BuiltModel
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

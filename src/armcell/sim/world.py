@@ -19,13 +19,11 @@ from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.model.mjcf.spec import log_mujoco_warnings
 from armcell.scene import PlanningScene
-from armcell.sim.body_poses import Array, FixedBodyPoses, Poses, write_free
-from armcell.sim.build import same_build, scene_objects
-from armcell.sim.built_model import BuiltModel
 from armcell.sim.camera import Camera
 from armcell.sim.compiled_stepper import compiled_steps
-from armcell.sim.contacts import ContactMonitor, PhysicsContact, read_contacts
+from armcell.sim.contacts import ContactMonitor, PhysicsContact, hand_wrench, read_contacts
 from armcell.sim.decals import Decal
+from armcell.sim.friction import HeldObjectCorrection, SlidingFriction
 from armcell.sim.gripper_servos import (
     Fingers,
     GripperState,
@@ -35,14 +33,12 @@ from armcell.sim.gripper_servos import (
     gripper_state,
     relative_pose,
 )
-from armcell.sim.held_object_correction import HeldObjectCorrection
-from armcell.sim.joint_targets import JointTargets
 from armcell.sim.model_pool import lease_model
-from armcell.sim.servo import ArmServo
+from armcell.sim.mujoco_model import BuiltModel, same_build, scene_objects
+from armcell.sim.objects import Array, FixedBodyPoses, Poses, write_free
+from armcell.sim.servo import ArmServo, JointTargets
 from armcell.sim.settings import PhysicsSettings
-from armcell.sim.sliding_friction import SlidingFriction
 from armcell.sim.suction import Suction
-from armcell.sim.wrench import hand_wrench
 
 log = logging.getLogger(__name__)
 

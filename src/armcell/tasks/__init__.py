@@ -2,14 +2,12 @@
 
 from armcell.tasks.arms import CarrySettings, SideBySide, TwoArmCarry, moved_object_pose, side_by_side
 from armcell.tasks.bin_clearing import BinClearingSettings
-from armcell.tasks.containers import Alternatives, Fallbacks, Serial
+from armcell.tasks.containers import Alternatives, Fallbacks, Merger, Serial
 from armcell.tasks.context import HeldObject, StageReport, TaskContext
 from armcell.tasks.conveyor_pick import ConveyorPickSettings, pick_moving
 from armcell.tasks.costs import Cost, clearance, costs, duration, path_length, weighted
 from armcell.tasks.grasp_proof import NOISE, GraspProof, distinct_grasps, prove_grasps, sample_object_variants
-from armcell.tasks.interfaces import TaskError, check_task, holding_condition
 from armcell.tasks.intermediate_placement import IntermediatePlacement, PickAndPlace, place_intermediate
-from armcell.tasks.merger import Merger
 from armcell.tasks.pick import Pick, grasp, grasp_stages, pick, pick_stages
 from armcell.tasks.pipelined import PipelinedTask, PipelineSettings, perform_pipelined, picking, placing
 from armcell.tasks.recipes import (
@@ -37,7 +35,7 @@ from armcell.tasks.sorting import SortSettings, sort
 from armcell.tasks.stage_statistics import stage_table
 from armcell.tasks.stages import Connect, MoveGripper, MoveStraight
 from armcell.tasks.steps import Motion, perform_all
-from armcell.tasks.task import Task, TaskFailed, TaskPlan, checked
+from armcell.tasks.task import Task, TaskError, TaskFailed, TaskPlan, check_task, checked, holding_condition
 
 __all__ = [
     "NOISE",

@@ -22,7 +22,6 @@ from armcell.execution import SCENE_INVALIDATED
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
-from armcell.tasks.interfaces import holding_condition
 from armcell.tasks.search import Lookahead, PartialSolution, SearchState, Stage
 from armcell.tasks.settings import TaskSettings
 from armcell.tasks.stages import (
@@ -36,7 +35,7 @@ from armcell.tasks.stages import (
 )
 from armcell.tasks.stages.grasp import GraspFilter
 from armcell.tasks.steps import EMPTY, CheckLift, ExpectContact, perform_all
-from armcell.tasks.task import plan_stages
+from armcell.tasks.task import holding_condition, plan_stages
 
 AHEAD = "what comes next"  # stage of a pick that checks whether later stages are feasible with a grasp
 WIDER = 4  # factor on the number of grasps if later stages reject many

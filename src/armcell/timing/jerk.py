@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError, JointTrajectory
 from armcell.timing.blend import BlendedPath
+from armcell.timing.moving_average import peaks
 from armcell.timing.parameterize import TimingSettings, checked_limits, zero_length_trajectory
 from armcell.timing.path_pieces import LINE, coefficients
-from armcell.timing.sampling import peaks
 
 Array = NDArray[np.float64]
 

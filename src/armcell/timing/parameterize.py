@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import ArmcellError, InputError, JointTrajectory
 from armcell.core.checks import checked, float_array
-from armcell.timing import sampling, topp
+from armcell.timing import moving_average, topp
 from armcell.timing.blend import BlendedPath
 from armcell.timing.trajectory_editing import stationary_trajectory
 
@@ -122,10 +122,10 @@ def parameterize(
     if path.length == 0.0:
         return zero_length_trajectory(path, joint_names)
     motion = fastest_motion(path, joint_names, velocity, acceleration, settings, torque)
-    times, q, v, a = sampling.sample_moving_average(
+    times, q, v, a = moving_average.sample_moving_average(
         path.points[0], path.points[-1], *path.arrays, *motion, settings.sample_time, settings.smoothing
     )
-    peak_v, peak_a = sampling.peaks(times, q, v, a, velocity, acceleration)
+    peak_v, peak_a = moving_average.peaks(times, q, v, a, velocity, acceleration)
     over = max(peak_v, np.sqrt(peak_a))
     if torque is not None:
         over = max(over, _slowdown(torque, q, v, a))

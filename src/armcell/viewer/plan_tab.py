@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from armcell.core import Explanation, Suggestion
-from armcell.core.explanation import TRIED
+from armcell.core.results import TRIED
 from armcell.planning import pipelines
 from armcell.viewer.planning_session import PlanningSession
 from armcell.viewer.session_goal import MOTIONS

@@ -32,7 +32,7 @@ from armcell.core import (
 from armcell.planning import explain_invalid_request, plan, plan_cartesian
 from armcell.scene import PlanningScene
 from armcell.tasks import Motion, perform_all
-from armcell.viewer.job import Job, Jobs
+from armcell.viewer.background_jobs import Job, Jobs
 from armcell.viewer.session_goal import (
     FREE,
     LINE,

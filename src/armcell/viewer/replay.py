@@ -9,7 +9,7 @@ from typing import Any
 from armcell.core import Event
 from armcell.records.reader import Record, scenes_of, stage_spans
 from armcell.scene import PlanningScene
-from armcell.viewer.player import Player
+from armcell.viewer.motion_preview import Player
 from armcell.viewer.viewer import CellViewer
 from armcell.viewer.widgets import Callbacks, paragraph, without_callbacks
 

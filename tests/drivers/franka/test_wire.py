@@ -24,9 +24,9 @@ from armcell.drivers.franka.wire.commands import (
     SetterStatus,
     WireError,
 )
-from armcell.drivers.franka.wire.errors import ERRORS
 from armcell.drivers.franka.wire.state import (
     COMMANDS,
+    ERRORS,
     FIELDS,
     STATES,
     RobotCommand,

@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 
 from armcell.core import InputError
-from armcell.drivers.ur.wire.dynamics import ArmDynamics, jacobian_rate, tool_jacobian
-from armcell.drivers.ur.wire.kinematics import forward, frames_of, inverse, pose_of
+from armcell.drivers.ur.wire.kinematics import (
+    ArmDynamics,
+    forward,
+    frames_of,
+    inverse,
+    jacobian_rate,
+    pose_of,
+    tool_jacobian,
+)
 from armcell.drivers.ur.wire.models import MODELS, ur_model
 from armcell.emulators.network import Network
 from armcell.emulators.ur.motion import BlendedMotion, MotionFault, MoveC, MoveJ, MoveL, Setpoint, TrackL
 from armcell.emulators.ur.plant import KinematicPlant
-from armcell.emulators.ur.programs import run_script
 from armcell.emulators.ur.robot import Robot
+from armcell.emulators.ur.script_server import run_script
 
 Q = np.array([0.3, -1.4, 1.6, -1.7, -1.5, 0.2])
 

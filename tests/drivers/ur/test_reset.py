@@ -13,7 +13,7 @@ from armcell.cell import load
 from armcell.cli.main import main
 from armcell.core import SE3
 from armcell.drivers.ur.wire.models import ur_model
-from armcell.emulators.shared_world import SharedWorld
+from armcell.emulators.rack import SharedWorld
 from armcell.emulators.ur.plant import KinematicPlant, PhysicsPlant
 from armcell.emulators.ur.robot import Robot
 from armcell.sim import SimWorld

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from tests.drivers.ur.emulated import dashboard, emulator, free_hosts
 
-from armcell.drivers.ur.wire.dynamics import ArmDynamics, tool_jacobian
-from armcell.drivers.ur.wire.kinematics import forward, matrix_of, pose_of
+from armcell.drivers.ur.wire.kinematics import ArmDynamics, forward, matrix_of, pose_of, tool_jacobian
 from armcell.drivers.ur.wire.models import ur_model
 
 rtde_control = pytest.importorskip(

@@ -8,7 +8,7 @@ from armcell.drivers.ur.wire.models import ur_model
 from armcell.emulators.ur.builtins_io import io_functions
 from armcell.emulators.ur.plant import KinematicPlant
 from armcell.emulators.ur.robot import Robot
-from armcell.emulators.ur.state_messages import StateEncoder
+from armcell.emulators.ur.script_server import StateEncoder
 from armcell.emulators.ur.urscript import Machine, ProgramError, ScriptError, parse
 
 

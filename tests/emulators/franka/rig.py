@@ -10,9 +10,9 @@ from armcell.drivers.franka.motion_limits import FR3
 from armcell.drivers.franka.wire.commands import MoveController, MoveGenerator, MoveRequest, MoveStatus
 from armcell.drivers.franka.wire.state import RobotCommand, RobotMode, RobotState, read_state
 from armcell.emulators.franka import FrankaPlant, scene_without_cell, torque_world
+from armcell.emulators.franka.command_server import StateWriter
 from armcell.emulators.franka.robot import Robot
-from armcell.emulators.franka.robot_state import StateWriter
-from armcell.emulators.shared_world import SharedWorld
+from armcell.emulators.rack import SharedWorld
 from armcell.scene import PlanningScene
 
 Answer = Callable[[RobotState, float], RobotCommand | None]

@@ -12,7 +12,7 @@ from tests.ros.ros1.conftest import eventually, free_port
 
 from armcell.core import InputError
 from armcell.ros.ros1 import Ros1Master, Ros1Settings
-from armcell.ros.ros1.parameter_tree import ParameterTree, subscriber_update
+from armcell.ros.ros1.parameters import ParameterTree, subscriber_update
 
 A, B = "http://127.0.0.1:1/", "http://127.0.0.1:2/"
 

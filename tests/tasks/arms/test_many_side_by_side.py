@@ -12,8 +12,7 @@ from tests.tasks.test_merger import planned
 
 from armcell.cell import load
 from armcell.tasks import Merger, TaskFailed, TaskSettings, checked
-from armcell.tasks.arms.object_order import best_order, timetable
-from armcell.tasks.arms.tour_cost import TourSegment
+from armcell.tasks.arms.object_order import TourSegment, best_order, timetable
 from armcell.tasks.stages import Connect
 
 A, B, C = "a_arm", "b_arm", "c_arm"

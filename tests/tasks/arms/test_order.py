@@ -14,8 +14,7 @@ from armcell.core import InputError, JointState, UnknownNameError
 from armcell.planning import RunningMotion
 from armcell.tasks import TaskSettings, checked
 from armcell.tasks.arms import CycleTimes, orders
-from armcell.tasks.arms.object_order import ConflictCache, best_order
-from armcell.tasks.arms.tour_cost import TourEstimator, TourSegment
+from armcell.tasks.arms.object_order import ConflictCache, TourEstimator, TourSegment, best_order
 
 TRAYS = ("red_tray", "blue_tray")
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
-from armcell.collision.kernel.boxes import boxes_hit, rotate_to_shape_frame, to_shape_frame
+from armcell.collision.kernel.box_tree import boxes_hit, rotate_to_shape_frame, to_shape_frame
 from armcell.collision.kernel.frames import (
     ALIVE,
     EXACT,
@@ -28,10 +28,12 @@ from armcell.collision.kernel.frames import (
     center,
     interval_half_width_at,
     local_at,
+    record_collision,
+    record_contact,
     required_distance_at,
     velocity_at,
 )
-from armcell.collision.kernel.layout import (
+from armcell.collision.kernel.pack import (
     BODIES,
     BODY_GROUPS,
     BODY_SPHERE,
@@ -47,7 +49,6 @@ from armcell.collision.kernel.layout import (
     SHAPE_POSE,
     SPHERE,
 )
-from armcell.collision.kernel.record_result import record_collision, record_contact
 from armcell.collision.kernel.simd import (
     L,
     fma,

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from armcell.collision.coal_shapes import is_closed, is_convex
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.box_tree import tree_of, z_order
+from armcell.collision.kernel.cover import small_triangles
 from armcell.collision.kernel.simd import L
-from armcell.collision.kernel.surface import small_triangles
 from armcell.core import Box, Mesh, Octree, PointCloud, Shape
 from armcell.core.geometry import local_bounds
 

@@ -18,21 +18,26 @@ from armcell.collision.kernel.frames import (
     AT_A,
     AT_B,
     AT_RELATIVE,
+    CONTACT,
     ENTRIES,
+    FREE,
     LISTED,
     MAX_WAITING,
     PADDED,
     PROVE,
+    UNPROVEN,
     WAITING,
     center_at,
     frame_at,
     interval_half_width_at,
     motion_margin,
+    record_collision,
+    record_contact,
     required_distance_at,
     twist_at,
     velocity_at,
 )
-from armcell.collision.kernel.layout import (
+from armcell.collision.kernel.pack import (
     BODY_GROUPS,
     BODY_PIECES,
     BODY_SPHERE,
@@ -58,7 +63,6 @@ from armcell.collision.kernel.layout import (
     SHAPE_POSE,
     SHAPE_SIZE,
 )
-from armcell.collision.kernel.record_result import CONTACT, FREE, UNPROVEN, record_collision, record_contact
 from armcell.collision.kernel.simd import L, fma, load, splat, store, trailing_zeros, vsqrt
 
 INSIDE = np.int64(1) << 40

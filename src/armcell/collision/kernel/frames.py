@@ -1,12 +1,10 @@
-"""Forward kinematics of 16 configurations at once: frames, sphere centers, velocities.
+"""Forward kinematics of 16 configurations at once, and the workspace of the SIMD lanes with their results.
 
-Everywhere in the kernel, `I`, `F`, `D` are the flat arrays of the pack (`layout`), `w` is the workspace of
-the lanes, `state` its integers (`workspace`), and `s` float64 scratch memory; all are bare pointers (`simd`).
-Velocities are per unit of the edge on which the lanes are.
+Everywhere in the kernel, `I`, `F`, `D` are the flat arrays of the pack (`pack`), `w` is the workspace of
+the lanes, `state` its integers (`workspace`), and `s` float64 scratch memory; all are bare pointers
+(`simd`). Velocities are per unit of the edge on which the lanes are.
 """
 
-# pyright: reportCallIssue=false
-# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 import numpy as np
@@ -14,7 +12,7 @@ import numpy as np
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.cover import GROUP
-from armcell.collision.kernel.layout import (
+from armcell.collision.kernel.pack import (
     BODIES,
     COLUMN,
     DOF,
@@ -29,6 +27,10 @@ from armcell.collision.kernel.layout import (
     Flat,
 )
 from armcell.collision.kernel.simd import L, fma, load, select_lt, splat, store, vabs, vround, vsqrt
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+
 
 REVOLUTE = 1
 
@@ -307,3 +309,24 @@ def motion_margin(I, F, w, reach, slack):
         total = fma(vabs(load(w, rate_at(I, j))), splat(F[reach + j]), total)
     half = load(w, at)
     return fma(half * half, load(w, at + L) * total, splat(slack))
+
+
+FREE, UNPROVEN, CONTACT = 0, 1, 2
+
+
+@inner_njit
+def record_collision(state, lanes, mode):
+    """Record that the configurations in some SIMD lanes are not collision-free.
+    Return True if the collision check can stop early.
+    """
+    state[ALIVE] &= ~lanes
+    return mode & PROVE == 0 or state[ALIVE] == 0
+
+
+@inner_njit
+def record_contact(state, lanes, mode):
+    """Record that the configurations in some SIMD lanes are in contact.
+    Return True if the collision check can stop early.
+    """
+    state[TOUCHING] |= lanes
+    return record_collision(state, lanes, mode) or mode & FIRST != 0

@@ -1,7 +1,5 @@
-"""Collision checks of motions in the kernel: at samples, or as a proof for the whole motion."""
+"""Collision checks of motions in the kernel: at samples, or as proofs, also of distances between bodies."""
 
-# pyright: reportCallIssue=false
-# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 import numpy as np
@@ -25,8 +23,12 @@ from armcell.collision.kernel.block import (
     lanes_of,
 )
 from armcell.collision.kernel.frames import TOUCHING, interval_half_width_at, rate_at
-from armcell.collision.kernel.layout import BODIES, DOF, PAIR_REACH, PAIRS, REACH
+from armcell.collision.kernel.pack import BODIES, DOF, PAIR_REACH, PAIRS, REACH
 from armcell.collision.kernel.simd import L, at_address, fma, iota, pointer, splat, store
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+
 
 FINEST = 1e-4
 """[rad] Shorter half intervals are not divided: a distance below their motion counts as contact."""
@@ -249,3 +251,35 @@ def proven_clearance(handle, points, most, tolerance):
         trial = 0.5 * (low + high)
     s[gjk.CLOSE] = 0.0
     return low + 0.0 * (rows[0] + at[0])  # used here, so that both stay alive
+
+
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+
+
+@njit(cache=True, nogil=True)
+def first_below_clearance(handle, points, room, distance):
+    """Return the first position along a motion (k, dof) at which the clearance proof for two bodies of the
+    robot fails.
+
+    Args:
+        room: (dof,) largest deviation of each joint from the edges [rad or m].
+        distance: clearance between two bodies [m].
+    Returns:
+        The position counted in edges, or -1.0 if the clearance is proven on the whole motion.
+    """
+    k, (n, dof) = pointer(handle), points.shape
+    I, s = ints(k), at_address(np.float64, k[AT_S])
+    slack_pair = at_address(np.float32, k[AT_SLACK_PAIR])
+    rows, at = np.arange(n) * dof, np.empty(n)  # used after the call, to stay alive
+    deviation_margins(k, pointer(room))
+    for b in range(I[PAIRS]):
+        slack_pair[b] += np.float32(distance)
+    s[gjk.CLOSE] = distance
+    prove(
+        k, pointer(points), pointer(rows), pointer(rows[1:]), n - 1, pointer(at), np.int64(FIRST), FINEST
+    )  # fmt: skip
+    s[gjk.CLOSE] = 0.0
+    for e in range(n - 1):
+        if at[e] != PROVEN:
+            return rows[e] / dof + at[e]
+    return -1.0

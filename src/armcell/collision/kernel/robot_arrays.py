@@ -20,10 +20,10 @@ from armcell.collision.kernel.bodies import (
     PlacedBody,
     held_body,
     link_body,
+    narrow_gaps,
 )
 from armcell.collision.kernel.convex_pieces import ConvexPieces, concatenate
 from armcell.collision.kernel.lru_cache import LruCache
-from armcell.collision.kernel.narrow_gaps import narrow_gaps
 from armcell.core import SO3
 from armcell.kinematics import kinematic_tree
 from armcell.kinematics.tree import REVOLUTE

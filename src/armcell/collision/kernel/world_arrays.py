@@ -1,31 +1,178 @@
-"""Kernel arrays of all world objects, updated only for changed objects."""
+"""Kernel arrays of world objects: shapes in world coordinates, updated only for changed objects."""
 
 from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.kernel.box_tree import box_tree
-from armcell.collision.kernel.object_tables import (
-    BLOCKS,
-    CLOUDS,
-    NUMBERS,
-    PIECES,
-    PLANES,
-    POINTS,
-    ROWS,
-    SHAPES,
-    object_tables,
-)
+from armcell.collision.kernel.box_tree import HUGE, box_tree
+from armcell.collision.kernel.cloud_arrays import Cloud, cloud_of
+from armcell.collision.kernel.convex_pieces import pieces_of, solid
+from armcell.collision.kernel.simd import L
+from armcell.core import Mesh, Plane, Shape
+from armcell.core.geometry import local_bounds
 from armcell.scene import CollisionObject
 
+F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+
+ROWS = {
+    "shape_kind": ("shape_pose", "shape_size", "planes_end", "pieces_end", "shape_cloud", "low", "high"),
+    "planes": (),
+    "piece_kind": ("piece_size", "piece_pose", "piece_ball", "piece_points"),
+    "points": (),
+    "points32": (),
+    "cloud": (),
+    "cloud_boxes": ("cloud_child",),
+    "cloud_parts": (),
+}
+"""Tables of objects, and for each the other tables that have as many rows. Indices in an object's tables
+count from the first row of the object. Beside tables of a `Pack` there are:
+
+- `planes_end`, `pieces_end` (o,): end of each shape's planes and exact pieces,
+- `low`, `high` (o, 3): corners of the shapes' bounding boxes in the world [m].
+"""
+
+SHAPES, PLANES, PIECES, POINTS, BLOCKS_OF_POINTS, CLOUDS, BLOCKS, NUMBERS = range(len(ROWS))
+
+
+class ObjectTables(NamedTuple):
+    """Kernel tables of several world objects, with the number of table rows of each object."""
+
+    tables: dict[str, NDArray]
+    counts: I64  # (objects, len(ROWS))
+
+
+class _Solid(NamedTuple):
+    """Convex shape of a world object in the kernel.
+    A point cloud or nonconvex mesh is represented by its bounding box.
+    """
+
+    owner: int
+    shape: Shape
+    T: F64  # (4, 4) T_world_shape
+    cloud: Cloud | None
+
+
+def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
+    """Return the kernel's tables for world objects."""
+    solids = [s for owner, item in enumerate(items) for s in _solids(owner, item)]
+    owner = np.array([s.owner for s in solids], np.int64)
+    T = np.array([s.T for s in solids]).reshape(-1, 4, 4)
+    kinds = [solid(s.shape) for s in solids]
+    box = np.array([_world_box(s.shape, s.T) for s in solids]).reshape(-1, 2, 3)
+    planes = [_hull_planes(s.shape) if isinstance(s.shape, Mesh) else NO_PLANES for s in solids]
+    pieces = pieces_of([(s.shape, s.T) for s in solids])
+    clouds = [s.cloud for s in solids if s.cloud is not None]
+    cloud_owner = np.array([s.owner for s in solids if s.cloud is not None], np.int64)
+
+    def rows(owners: I64, sizes: Sequence[int] | I64 | None = None) -> I64:
+        """Return how many rows each world object has in the kernel's tables."""
+        return np.bincount(owners, sizes, len(items)).astype(np.int64)
+
+    plane_rows = [len(p) for p in planes]
+    lanes = -(-pieces.corners.count.astype(np.int64) // L)  # every solid is one piece
+    counts = [
+        rows(owner), rows(owner, plane_rows), rows(owner), rows(owner, lanes * L), rows(owner, lanes),
+        rows(cloud_owner), rows(cloud_owner, [len(c.boxes) for c in clouds]),
+        rows(cloud_owner, [c.parts.size for c in clouds]),
+    ]  # fmt: skip
+    number = _within(cloud_owner, np.ones(len(clouds), np.int64))
+    cloud = np.full(len(solids), -1, np.int32)
+    cloud[[s.cloud is not None for s in solids]] = number
+    first_point = pieces.tables["piece_points"].copy()
+    first_point[:, 0] = _within(owner, lanes * L)
+    tables = {
+        "shape_kind": np.array([kind for kind, _ in kinds], np.int32),
+        "shape_pose": np.linalg.inv(T)[:, :3].reshape(-1, 12).astype(np.float32),
+        "shape_size": np.array([size for _, size in kinds], np.float32).reshape(-1, 3),
+        "planes_end": (_within(owner, plane_rows) + plane_rows).astype(np.int32),
+        "pieces_end": (_within(owner, np.ones_like(owner)) + 1).astype(np.int32),
+        "shape_cloud": cloud,
+        "low": box[:, 0],
+        "high": box[:, 1],
+        "planes": np.concatenate([NO_PLANES, *planes]).astype(np.float32),
+        **pieces.tables,
+        "piece_points": first_point,
+        **_cloud_tables(clouds, cloud_owner),
+    }
+    return ObjectTables(tables, np.column_stack(counts))
+
+
+def _within(owner: I64, sizes: I64 | Sequence[int]) -> I64:
+    """Return for each entry of a table the total size of all earlier
+    entries that belong to the same world object.
+
+    The owners are sorted.
+    """
+    if len(owner) == 0:
+        return np.zeros(0, np.int64)
+    before = np.cumsum(sizes) - sizes
+    return (before - before[owner.searchsorted(owner)]).astype(np.int64)
+
+
+def _solids(owner: int, item: CollisionObject) -> list[_Solid]:
+    found, T_world_object = [], item.T_world_object.matrix
+    for shape, T_object_shape in item.shapes:
+        T, cloud = T_world_object @ T_object_shape.matrix, cloud_of(shape)
+        if cloud is None:
+            found.append(_Solid(owner, shape, T, None))
+        elif not cloud.empty:
+            found.append(_Solid(owner, cloud.box, T @ cloud.T_shape_box, cloud))
+    return found
+
+
+def _cloud_tables(clouds: Sequence[Cloud], owner: I64) -> dict[str, NDArray]:
+    if not clouds:
+        return NO_CLOUDS
+    blocks = _within(owner, [len(c.boxes) for c in clouds])
+    numbers = _within(owner, [c.parts.size for c in clouds])
+    rows = [(c.kind, b, n, c.closed) for c, b, n in zip(clouds, blocks, numbers, strict=True)]
+    return {
+        "cloud": np.array(rows, np.int32).reshape(-1, 4),
+        "cloud_boxes": np.concatenate([c.boxes for c in clouds]),
+        "cloud_child": np.concatenate([c.child for c in clouds]),
+        "cloud_parts": np.concatenate([c.parts.ravel() for c in clouds]),
+    }
+
+
+NO_PLANES = np.zeros((0, 4))
+NO_CLOUDS: dict[str, NDArray] = {
+    "cloud": np.zeros((0, 4), np.int32),
+    "cloud_boxes": np.zeros((0, 6, L), np.float32),
+    "cloud_child": np.zeros((0, L), np.int32),
+    "cloud_parts": np.zeros(0, np.float32),
+}
+
+
+@lru_cache(maxsize=1024)
+def _hull_planes(mesh: Mesh) -> F64:
+    """Return the planes (n, 4) of a world mesh's convex hull as outward normals and offsets,
+    for the collision kernel.
+    """
+    from scipy.spatial import ConvexHull
+
+    equations = ConvexHull(mesh.vertices).equations  # n x + d <= 0 inside
+    _, index = np.unique(np.round(equations, 6), axis=0, return_index=True)
+    planes = equations[np.sort(index)]
+    return np.column_stack([planes[:, :3], -planes[:, 3]])
+
+
+def _world_box(shape: Shape, T: F64) -> tuple[F64, F64]:
+    if isinstance(shape, Plane):
+        return np.full(3, -HUGE), np.full(3, HUGE)
+    center, half = local_bounds(shape)
+    center = T[:3, :3] @ center + T[:3, 3]
+    half = np.abs(T[:3, :3]) @ half
+    return center - half, center + half
+
 
 COLUMN = {name: k for k, (first, others) in enumerate(ROWS.items()) for name in (first, *others)}
 KEPT = 8  # worlds

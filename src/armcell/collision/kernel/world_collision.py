@@ -8,7 +8,7 @@ import numpy as np
 
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
-from armcell.collision.kernel.boxes import boxes_hit, rotate_to_shape_frame, to_shape_frame
+from armcell.collision.kernel.box_tree import boxes_hit, rotate_to_shape_frame, to_shape_frame
 from armcell.collision.kernel.cloud import DONE, body_to_cloud
 from armcell.collision.kernel.exact_checks import INSIDE, queue_exact_test
 from armcell.collision.kernel.frames import (
@@ -23,9 +23,11 @@ from armcell.collision.kernel.frames import (
     center_at,
     interval_half_width_at,
     motion_margin,
+    record_collision,
+    record_contact,
     velocity_at,
 )
-from armcell.collision.kernel.layout import (
+from armcell.collision.kernel.pack import (
     BODIES,
     BODY_GROUPS,
     BODY_SPHERE,
@@ -50,7 +52,6 @@ from armcell.collision.kernel.layout import (
     SHAPE_SIZE,
     SPHERE,
 )
-from armcell.collision.kernel.record_result import record_collision, record_contact
 from armcell.collision.kernel.simd import (
     L,
     fma,

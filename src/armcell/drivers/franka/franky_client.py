@@ -30,8 +30,8 @@ from armcell.drivers.franka.wire.commands import (
     SetterStatus,
     StopStatus,
 )
-from armcell.drivers.franka.wire.errors import ERRORS
 from armcell.drivers.franka.wire.state import (
+    ERRORS,
     ControllerMode,
     GeneratorMode,
     RobotMode,

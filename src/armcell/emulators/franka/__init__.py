@@ -2,12 +2,12 @@
 
 from armcell.emulators.franka.controller import (
     ControllerSettings,
+    EmulatedFranka,
     FrankaController,
     FrankaRack,
     scene_without_cell,
     torque_world,
 )
-from armcell.emulators.franka.kind import EmulatedFranka
 from armcell.emulators.franka.plant import FrankaPlant
 
 __all__ = [

@@ -1,19 +1,19 @@
-"""Emulated Franka controllers with all their network ports."""
+"""Emulated Franka controllers with all their network ports, and the emulated robot kind `franka`."""
 
 from __future__ import annotations
 
 import selectors
 import struct
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from armcell.core import InputError
 from armcell.core.checks import checked
 from armcell.drivers.franka.motion_limits import limits_of
+from armcell.drivers.franka.settings import FrankaArmSettings
 from armcell.drivers.franka.wire.commands import PROTOCOLS
-from armcell.emulators import rack
 from armcell.emulators.franka.command_server import CommandServer
 from armcell.emulators.franka.hand import Hand, HandServer
 from armcell.emulators.franka.kinematics import urdf
@@ -21,6 +21,7 @@ from armcell.emulators.franka.operator_server import OperatorServer
 from armcell.emulators.franka.plant import PERIOD, FrankaPlant
 from armcell.emulators.franka.robot import Robot
 from armcell.emulators.network import Network
+from armcell.emulators.rack import Rack, SharedWorld, emulated_kinds, selector
 from armcell.model import load_robot
 from armcell.scene import PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
@@ -143,7 +144,7 @@ class FrankaController:
         self.network.close()
 
 
-class FrankaRack(rack.Rack[FrankaController]):
+class FrankaRack(Rack[FrankaController]):
     """Rack of several emulated Franka controllers that run in one thread, each with its own plant.
 
     Args:
@@ -160,10 +161,28 @@ class FrankaRack(rack.Rack[FrankaController]):
         trace: BinaryIO | None = None,
         reset_between_runs: bool = False,
     ):
-        super().__init__([], rack.selector(), trace, reset_between_runs)
+        super().__init__([], selector(), trace, reset_between_runs)
         try:
             for each, plant, group in zip(settings, plants, groups, strict=True):
                 self.controllers.append(FrankaController(each, self._selector, plant, group))
         except BaseException:
             self.close()
             raise
+
+
+class EmulatedFranka:
+    """Emulated robot kind `franka`: a Franka controller with an arm in the cell's physics world."""
+
+    physics: Mapping[str, Any] = TORQUE_PHYSICS
+
+    def make(
+        self, group: str, arm: FrankaArmSettings, shared: SharedWorld, io: selectors.BaseSelector,
+        say: Callable[[str], None],
+    ) -> FrankaController:  # fmt: skip
+        plant = FrankaPlant(shared, group)
+        made = FrankaController(ControllerSettings(arm.model, arm.host), io, plant, group)
+        made.robot.listeners.append(say)
+        return made
+
+
+emulated_kinds.register("franka")(EmulatedFranka())

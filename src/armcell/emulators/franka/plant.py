@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError
 from armcell.emulators.franka.kinematics import JOINTS, ArmKinematics, arm_joints
-from armcell.emulators.shared_world import SharedWorld
+from armcell.emulators.rack import SharedWorld
 
 Array = NDArray[np.float64]
 

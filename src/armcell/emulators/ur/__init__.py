@@ -1,8 +1,7 @@
 """Emulated Universal Robots controller for testing clients without a robot."""
 
-from armcell.emulators.ur.controller import ControllerSettings, UrController, UrRack
+from armcell.emulators.ur.controller import ControllerSettings, EmulatedUr, UrController, UrRack
 from armcell.emulators.ur.external_control import RemoteHost
-from armcell.emulators.ur.kind import EmulatedUr
 from armcell.emulators.ur.plant import KinematicPlant, PhysicsPlant
 
 __all__ = [

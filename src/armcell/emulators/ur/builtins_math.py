@@ -11,7 +11,7 @@ import numpy as np
 
 from armcell.core import SE3, SO3
 from armcell.drivers.ur.wire.kinematics import matrix_of, pose_of
-from armcell.emulators.ur.urscript.values import Pose, Vec, copy_value, format_value
+from armcell.emulators.ur.urscript.interpreter import Pose, Vec, copy_value, format_value
 
 
 def math_functions() -> dict[str, Callable[..., Any]]:

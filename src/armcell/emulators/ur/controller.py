@@ -1,29 +1,34 @@
-"""Emulated Universal Robots controllers with all network ports; several may share a world."""
+"""Emulated Universal Robots controllers with all network ports, and the emulated robot kind `ur`.
+
+Several controllers may share a world.
+"""
 
 from __future__ import annotations
 
 import selectors
 import struct
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import BinaryIO
+from typing import Any, BinaryIO
 from zlib import crc32
 
 import numpy as np
 
 from armcell.core import InputError
 from armcell.core.checks import checked
+from armcell.drivers.ur.settings import UrArmSettings
 from armcell.drivers.ur.wire.models import UrModel, ur_model
 from armcell.drivers.ur.wire.primary import Kinematics
 from armcell.drivers.ur.wire.rtde import PORT as RTDE
-from armcell.emulators import rack as emulators
 from armcell.emulators.network import Network
+from armcell.emulators.rack import Rack, SharedWorld, emulated_kinds, selector
 from armcell.emulators.ur.dashboard_server import PORT as DASHBOARD
 from armcell.emulators.ur.dashboard_server import DashboardServer
 from armcell.emulators.ur.external_control import ExternalControl, RemoteHost
 from armcell.emulators.ur.gripper_server import GripperServer
-from armcell.emulators.ur.plant import KinematicPlant, Plant
+from armcell.emulators.ur.notices import Popup, ScriptFault
+from armcell.emulators.ur.plant import KinematicPlant, PhysicsPlant, Plant
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.rtde_server import RtdeServer
 from armcell.emulators.ur.script_server import ScriptServer
@@ -130,7 +135,7 @@ class UrController:
         self.network.close()
 
 
-class UrRack(emulators.Rack[UrController]):
+class UrRack(Rack[UrController]):
     """Rack of several emulated UR controllers that run in one thread. Those with physics share one world.
 
     Args:
@@ -147,7 +152,7 @@ class UrRack(emulators.Rack[UrController]):
         trace: BinaryIO | None = None,
         reset_between_runs: bool = False,
     ):
-        super().__init__([], emulators.selector(), trace, reset_between_runs)
+        super().__init__([], selector(), trace, reset_between_runs)
         try:
             for i, each in enumerate(settings):
                 plant = plants[i] if plants else None
@@ -158,3 +163,22 @@ class UrRack(emulators.Rack[UrController]):
         if len({c.period for c in self.controllers}) != 1:
             self.close()
             raise InputError("controllers of one rack have the same control period")
+
+
+class EmulatedUr:
+    """Emulated robot kind `ur`: a UR controller with an arm in the cell's physics world."""
+
+    physics: Mapping[str, Any] = {}
+
+    def make(
+        self, group: str, arm: UrArmSettings, shared: SharedWorld, io: selectors.BaseSelector,
+        say: Callable[[str], None],
+    ) -> UrController:  # fmt: skip
+        serial = arm.serial or f"2026{crc32(group.encode()) % 10000:04d}"
+        plant = PhysicsPlant(shared, group, arm.model)
+        made = UrController(ControllerSettings(arm.model, arm.host, serial), io, plant)
+        made.robot.listeners.append(lambda n: say(str(n)) if isinstance(n, Popup | ScriptFault) else None)
+        return made
+
+
+emulated_kinds.register("ur")(EmulatedUr())

@@ -14,7 +14,7 @@ from armcell.drivers.ur.wire.models import JOINTS
 from armcell.drivers.ur.wire.modes import RuntimeState
 from armcell.emulators.network import Network, TcpConnection
 from armcell.emulators.ur.external_control import NAME, ExternalControl
-from armcell.emulators.ur.plant_faults import WORDS, set_fault
+from armcell.emulators.ur.plant import WORDS, set_fault
 from armcell.emulators.ur.robot import Robot
 
 PORT = 29999

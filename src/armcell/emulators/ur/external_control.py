@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from armcell.core import InputError
 from armcell.emulators.network import Network, TcpConnection
-from armcell.emulators.ur.programs import run_script
 from armcell.emulators.ur.robot import Robot
+from armcell.emulators.ur.script_server import run_script
 from armcell.emulators.ur.urscript.parser import MAX_SCRIPT
 
 NAME = "external_control.urp"

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, SO3, ArmcellError
-from armcell.drivers.ur.wire.dynamics import ArmDynamics
-from armcell.drivers.ur.wire.kinematics import forward, inverse, jacobian
+from armcell.drivers.ur.wire.kinematics import ArmDynamics, forward, inverse, jacobian
 from armcell.drivers.ur.wire.models import UrModel
 from armcell.drivers.ur.wire.primary import Kinematics
 

@@ -1,9 +1,12 @@
-"""Simulated arms of the emulated UR controller: kinematics with servo lag, or physics."""
+"""Simulated arms of the emulated UR controller: servo lag or physics, and injected faults.
+
+Faults: unknown payload, joint offset, blocked joint.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.core import SE3, SO3, InputError
 from armcell.drivers.ur.wire.kinematics import pose_of
 from armcell.drivers.ur.wire.models import ur_model
-from armcell.emulators.shared_world import SharedWorld
+from armcell.emulators.rack import SharedWorld
 
-Array = NDArray[np.float64]
+F64 = NDArray[np.float64]
 
 NOTHING = (np.zeros(3), np.zeros(3), np.zeros(3))
 ABOUT_Z = SE3(SO3.exp((0.0, 0.0, np.pi)), np.zeros(3))  # controller's base in the model's base_link
@@ -35,13 +38,13 @@ class Plant(Protocol):
         """
         ...
 
-    def read(self) -> tuple[Array, Array, Array]:
+    def read(self) -> tuple[F64, F64, F64]:
         """Return the joint positions [rad], velocities [rad/s] and
         efforts [Nm] of the UR plant, each (6,).
         """
         ...
 
-    def command(self, q: Array, v: Array, period: float) -> None:
+    def command(self, q: F64, v: F64, period: float) -> None:
         """Set the joint targets (positions and velocities, each (6,))
         of the UR plant for one control period [s].
         """
@@ -69,7 +72,7 @@ class Plant(Protocol):
         """
         ...
 
-    def wrench(self) -> tuple[Array, Array, Array]:
+    def wrench(self) -> tuple[F64, F64, F64]:
         """Return the contact force [N] and torque [Nm] on the hand of the UR plant,
         and their reference point [m].
 
@@ -117,10 +120,10 @@ class KinematicPlant:
         self._opening, self._wanted = 1.0, 1.0
         self.resets += 1
 
-    def read(self) -> tuple[Array, Array, Array]:
+    def read(self) -> tuple[F64, F64, F64]:
         return self._q, self._v, np.zeros(6)
 
-    def command(self, q: Array, v: Array, period: float) -> None:
+    def command(self, q: F64, v: F64, period: float) -> None:
         self._target = q
 
     def step(self, dt: float) -> None:
@@ -136,7 +139,7 @@ class KinematicPlant:
     def contact(self, hand: bool = True) -> str | None:
         return None
 
-    def wrench(self) -> tuple[Array, Array, Array]:
+    def wrench(self) -> tuple[F64, F64, F64]:
         return NOTHING
 
     def drive_gripper(self, opening: float, force: float) -> None:
@@ -187,7 +190,7 @@ class PhysicsPlant:
         for link in self._hand:
             self.world.monitor.allow(link, movable)  # a gripper may touch movable objects
 
-    def read(self) -> tuple[Array, Array, Array]:
+    def read(self) -> tuple[F64, F64, F64]:
         state = self.world.joint_state()
         columns = self._columns
         if state.velocities is None or state.efforts is None:
@@ -198,12 +201,12 @@ class PhysicsPlant:
         self._from = self._to = self.read()[0].copy()
         self._speed, self._begun, self._span = np.zeros(6), self.world.time, 1.0
 
-    def command(self, q: Array, v: Array, period: float) -> None:
+    def command(self, q: F64, v: F64, period: float) -> None:
         self._from = self._interpolated_targets(self.world.time)
         self._to, self._speed = np.array(q), np.array(v)
         self._begun, self._span = self.world.time, period
 
-    def _interpolated_targets(self, time: float) -> Array:
+    def _interpolated_targets(self, time: float) -> F64:
         share = min(max((time - self._begun) / self._span, 0.0), 1.0)
         return self._from + share * (self._to - self._from)
 
@@ -236,7 +239,7 @@ class PhysicsPlant:
                 return f"{touch.body_a} touched {touch.body_b}"
         return None
 
-    def wrench(self) -> tuple[Array, Array, Array]:
+    def wrench(self) -> tuple[F64, F64, F64]:
         if self._gripper is None:
             return NOTHING
         felt = self.world.wrench(self._gripper.name)
@@ -264,3 +267,74 @@ class PhysicsPlant:
         if name not in self.world.built.objects:
             raise ValueError(f"no object {name!r}")
         return pose_of(self.world.object_pose(name).matrix)
+
+
+WORDS = "armcell fault payload <kg> | offset <0-5> <rad> | block <0-5> | arm none"
+
+
+class FaultyPlant:
+    """Plant that wraps another emulated UR plant to inject faults.
+    Without a fault, it forwards every call.
+    """
+
+    def __init__(self, plant: Plant):
+        self._plant = plant
+        self._offset = np.zeros(6)
+        self._blocked: dict[int, float] = {}  # joint -> blocked position [rad]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._plant, name)
+
+    def command(self, q: F64, v: F64, *more: Any) -> None:
+        q, v = np.array(q, dtype=float) + self._offset, np.array(v, dtype=float)
+        if not hasattr(self._plant, "world"):  # physics blocks the joint itself
+            for joint, at in self._blocked.items():
+                q[joint], v[joint] = at, 0.0
+        self._plant.command(q, v, *more)
+
+    def offset(self, joint: int, angle: float) -> None:
+        """Inject a fault into the UR plant: a constant error [rad] in the commanded position of one joint."""
+        self._offset[joint] = angle
+
+    def block(self, joint: int) -> None:
+        """Inject a fault into an emulated UR arm: block a joint at its present position, whatever its motor
+        does.
+        """
+        self._blocked[joint] = float(self._plant.read()[0][joint])
+        if hasattr(self._plant, "world"):
+            world: Any = self._plant
+            world.world.block(world.world.robot.joint_names[world._columns[joint]])
+
+    def payload(self, mass: float) -> None:
+        """Inject a fault into the UR plant: a mass [kg] is attached to
+        the last link without informing the controller.
+
+        Raises:
+            ValueError: the arm has no physics, so the mass would have no effect.
+        """
+        if not hasattr(self._plant, "world"):
+            raise ValueError("no physics")
+        plant: Any = self._plant
+        plant.world.add_load(plant.tool_link, mass)
+
+
+def set_fault(plant: Any, words: list[str]) -> Any:
+    """Inject the fault that a command describes into an emulated UR plant, and return the faulty plant.
+    For the command "arm none", return the original plant.
+
+    Raises:
+        ValueError: the words name no fault.
+    """
+    if words == ["arm", "none"]:
+        return plant._plant if isinstance(plant, FaultyPlant) else plant  # masses and blocks stay
+    faulty = plant if isinstance(plant, FaultyPlant) else FaultyPlant(plant)
+    match words:
+        case ["payload", mass]:
+            faulty.payload(float(mass))
+        case ["offset", joint, angle]:
+            faulty.offset(int(joint), float(angle))
+        case ["block", joint]:
+            faulty.block(int(joint))
+        case _:
+            raise ValueError
+    return faulty

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from armcell.grasping import hand_fit_kernel
 from armcell.grasping.candidates import Proposals, generators
-from armcell.grasping.generators.frames import directions_around, tcp_pose
+from armcell.grasping.grasp import directions_around, tcp_pose
 from armcell.grasping.hand import Hand
 from armcell.grasping.surface import Surface
 from armcell.scene import CollisionObject

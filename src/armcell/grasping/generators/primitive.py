@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.core import Capsule, Cylinder, Sphere
 from armcell.grasping.candidates import Proposals, generators
-from armcell.grasping.generators.frames import directions_around, tcp_pose
+from armcell.grasping.grasp import directions_around, tcp_pose
 from armcell.grasping.hand import Hand
 from armcell.grasping.surface import Surface
 from armcell.scene import CollisionObject

@@ -6,8 +6,7 @@ from functools import lru_cache
 
 from armcell.core import InputError
 from armcell.kinematics.ik.analytic import AnalyticIK
-from armcell.kinematics.ik.free_axis_rotation import free_axis_angles
-from armcell.kinematics.ik.numeric import NumericIK
+from armcell.kinematics.ik.numeric import NumericIK, free_axis_angles
 from armcell.kinematics.ik.solver import POSE_JOINTS, IKSettings, IKSolver, ik_solvers
 from armcell.model import RobotModel
 

@@ -1,18 +1,89 @@
-"""Numeric inverse kinematics for any chain: damped least squares from many seeds."""
+"""Numeric inverse kinematics for any chain: search from many seeds, and free rotation about one axis.
+
+The search runs descents of damped least squares (Numba). The free rotation about one axis serves arms
+with fewer than six joints.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
 
+from armcell.core import SE3, UnknownNameError
+from armcell.core.checks import float_array, require
 from armcell.kinematics.ik.chain import Chain, errors_at
-from armcell.kinematics.ik.descent import descend
-from armcell.kinematics.ik.nullspace import approach_in_null_space
-from armcell.kinematics.ik.search import search
-from armcell.kinematics.ik.seeds import rank, sampling_range
+from armcell.kinematics.ik.descent import PATIENCE, approach_in_null_space, descend
+from armcell.kinematics.ik.full_turns import nearest_turns
+from armcell.kinematics.ik.seeds import rank, sampling_range, take_nearest
 from armcell.kinematics.ik.solver import POSE_JOINTS, ChainData, IKSettings, IKSolver, ik_solvers
+from armcell.model import Joint, Link, RobotModel
+
+DISTINCT = 1e-2  # [rad or m] in any joint
+
+
+@njit(cache=True, error_model="numpy")
+def search(
+    table, bounds, turning, goal, scale, reference, seeds, scores, tries, iterations,
+    position_tolerance, rotation_tolerance, found, count, want,
+):  # fmt: skip
+    """Search for distinct IK solutions from many start configurations (seeds), and append up to `want` of
+    them to `found` at row `count`.
+
+    Args:
+        reference: positions (n,) near which the solutions' full turns are chosen.
+        seeds: (s, n) seeds, tried by increasing score; the score of a tried seed becomes infinite.
+        tries: maximum number of seeds to try in this call.
+    Returns:
+        Number of seeds tried, number of solutions in `found`.
+    """
+    n = len(bounds)
+    patience = np.int64(PATIENCE)  # for a literal Numba would compile descend again
+    q, axes, J = np.empty(n), np.empty((len(table), 6)), np.empty((n, 7))
+    for tried in range(tries):
+        if count >= want:
+            return tried, count
+        seed = take_nearest(scores)
+        for c in range(n):
+            q[c] = min(max(seeds[seed, c], bounds[c, 0]), bounds[c, 1])
+        reached = descend(
+            table, bounds, goal, scale, iterations, patience, position_tolerance, rotation_tolerance,
+            q, axes, J,
+        )[2]  # fmt: skip
+        if not reached or nearest_turns(q, reference, bounds, turning) >= 0:
+            continue
+        new = True
+        for other in range(count):
+            largest = 0.0
+            for c in range(n):
+                largest = max(largest, abs(found[other, c] - q[c]))
+            new = new and largest > DISTINCT
+        if new:
+            for c in range(n):
+                found[count, c] = q[c]
+            count += 1
+    return tries, count
+
+
+@njit(cache=True, error_model="numpy")
+def any_solution(
+    table, bounds, turning, goal, scale, reference, seeds, poses, tries, iterations,
+    position_tolerance, rotation_tolerance, found,
+):  # fmt: skip
+    """Search for one IK solution from tabulated start configurations (seeds), and write it to `found` (1, n).
+    Return whether one was found.
+    """
+    scores = np.empty(len(seeds), np.float32)
+    rank(poses, goal, scale, scores)
+    return search(
+        table, bounds, turning, goal, scale, reference, seeds, scores, tries, iterations,
+        position_tolerance, rotation_tolerance, found, 0, 1,
+    )[1] > 0  # fmt: skip
+
 
 Array = NDArray[np.float64]
 
@@ -110,3 +181,45 @@ class NumericIK(IKSolver):
             low, high = sampling_range(prepared.chain)
             rng = np.random.default_rng(0) if rng is None else rng
             yield rng.uniform(low, high, (rest, len(low))), np.arange(rest, dtype=np.float32), rest
+
+
+SOLUTIONS = 16  # of the arm, among which distinct angles are searched
+APART = 1e-3  # [rad] distinct angles
+
+
+def free_axis_angles(
+    model: RobotModel, group: str, tip_link: str, T_tip_axis: SE3, T_world_axis: SE3, reference: ArrayLike
+) -> Iterator[float]:
+    """Solve the inverse kinematics of a goal that may rotate freely about one axis: yield the rotation angles
+    [rad] at which the arm reaches the goal.
+
+    The z axis of the frame `axis` is the axis of rotation. The tip reaches the pose
+    `T_world_axis @ Rz(angle) @ inverse(T_tip_axis)` within the joint limits. A continuous joint about the
+    axis extends the chain, so that an arm with five joints has a finite number of solutions.
+
+    Args:
+        reference: positions (dof,) of all joints of the model.
+    Raises:
+        UnknownNameError: no such group or link.
+        InputError: an axis is not a pose, or the reference is not (dof,) finite numbers.
+    """
+    arm = model.group(group)
+    if tip_link not in model.links:
+        raise UnknownNameError("link", tip_link, model.links)
+    require(isinstance(T_tip_axis, SE3) and isinstance(T_world_axis, SE3), "the axes must be poses (SE3)")
+    start = np.append(float_array(reference, (model.dof,), "reference"), 0.0)
+    spin = Joint(f"{tip_link}/spin", "continuous", tip_link, f"{tip_link}/axis", T_tip_axis, axis=(0, 0, 1))
+    names = (*arm.joint_names, spin.name)
+    extended = replace(
+        model,
+        links={**model.links, spin.child: Link(spin.child)},
+        joints={**model.joints, spin.name: spin},
+        groups={**model.groups, group: replace(arm, joint_names=names, tip_link=spin.child)},
+    )
+    solver = NumericIK(extended, group, spin.child)
+    found: list[float] = []
+    for q in islice(solver.solutions(T_world_axis, start, np.random.default_rng(0)), SOLUTIONS):
+        angle = -float(q[-1])
+        if all(abs(np.sin((angle - other) / 2)) > APART / 2 for other in found):
+            found.append(angle)
+            yield angle

@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.core import SE3, ErrorCode, IKResult, InputError, Registry
 from armcell.core.checks import checked
 from armcell.kinematics.ik.chain import Chain, chain_of, errors_at, goal_in_base
-from armcell.kinematics.ik.descent import descend
+from armcell.kinematics.ik.descent import descend, null_space_step
 from armcell.kinematics.ik.full_turns import full_turn_equivalents
-from armcell.kinematics.ik.nullspace import null_space_step
 from armcell.kinematics.ik.seeds import Seeds, rank, seeds_of, take_nearest
 from armcell.kinematics.tree import FIXED, kinematic_tree
 from armcell.model import RobotModel

@@ -10,8 +10,8 @@ from armcell.model.setup.moveit_config import (
     load_ompl_planning,
     package_files,
 )
-from armcell.model.setup.srdf_writer import parse_srdf, srdf_of, srdf_text
-from armcell.model.setup.urdf_text import UrdfPart, merged_urdf, with_frames_text
+from armcell.model.srdf import parse_srdf, srdf_of, srdf_text
+from armcell.model.urdf_writer import UrdfPart, merged_urdf, with_frames_text
 
 __all__ = [
     "ArmChain",

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from armcell.core import InputError, UnknownNameError
+from armcell.model.composition import with_tip
 from armcell.model.robot import EndEffector, RobotModel
-from armcell.model.setup.frames import with_tip
 from armcell.model.setup.hand_geometry import GripperNotRecognizedError, HandGeometry, driver_of
 from armcell.model.setup.jaws import find_jaws
 from armcell.model.setup.pads import with_measured_gripper

@@ -1,16 +1,55 @@
-"""Geometry of a hand for gripper recognition: points on its links at any position of the driven joint."""
+"""Geometry of a hand for gripper recognition: surface points of its links at any driven position."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, SO3
-from armcell.model.robot import Joint, RobotModel
+from armcell.core import SE3, SO3, Mesh
+from armcell.core.geometry import local_bounds
+from armcell.model.robot import Joint, Link, RobotModel
 from armcell.model.setup.arm_detection import common_link
-from armcell.model.setup.surface_points import surface_points
 
-Array = NDArray[np.float64]
+F64 = NDArray[np.float64]
+
+
+def surface_points(link: Link, spacing: float) -> F64:
+    """Sample points (n, 3) [m] on the surface of a link's collision shapes, about three points per square of
+    side `spacing` [m]. A shape that is not a mesh is replaced with its bounding box.
+    """
+    found = [np.zeros((0, 3))]
+    for collision in link.collisions:
+        shape = collision.shape
+        if isinstance(shape, Mesh):
+            corners = np.asarray(shape.vertices, dtype=float)[np.asarray(shape.faces)]
+        else:
+            center, half = local_bounds(shape)
+            corners = _box(center, half)
+        found.append(collision.T_link_shape.apply(_spread(corners, spacing)))
+    return np.concatenate(found)
+
+
+def _spread(corners: F64, spacing: float) -> F64:
+    """Sample points on the surface of a link, given as triangles (n, 3, 3): all corners, and random points in
+    large triangles.
+    """
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    count = np.minimum(np.ceil(3 * area / spacing**2), 3000).astype(int)
+    which = np.repeat(np.arange(len(corners)), count)
+    u, v = np.random.default_rng(0).random((2, len(which)))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    inner = a[which] + u[:, None] * (b - a)[which] + v[:, None] * (c - a)[which]
+    return np.concatenate([corners.reshape(-1, 3), inner])
+
+
+def _box(center: F64, half: F64) -> F64:
+    """Return the triangles (12, 3, 3) of a box, to sample points on its surface."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    v = np.asarray(center) + signs * np.asarray(half)
+    quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    return np.array([v[list(t)] for q in quads for t in ((q[0], q[1], q[2]), (q[0], q[2], q[3]))])
+
 
 SPACING = 0.002  # [m] of the grid on which the jaws' facing surfaces are compared
 
@@ -57,7 +96,7 @@ class HandGeometry:
             T = T @ joint.T_parent_joint @ _motion(joint, _value(self.model, joint, self.driver.name, q))
         return T
 
-    def at(self, links: tuple[str, ...], q: float) -> Array:
+    def at(self, links: tuple[str, ...], q: float) -> F64:
         """Return points (n, 3) [m] on the surfaces of `links`, in the frame of the gripper's palm.
         The driven joint of the gripper is at `q`.
         """
@@ -69,7 +108,7 @@ class HandGeometry:
         top = min(part, key=lambda n: len(self.model.chain(self.palm, n)))
         return next(j.name for j in self.model.chain(self.palm, top) if j.movable)
 
-    def last_axis(self) -> Array | None:
+    def last_axis(self) -> F64 | None:
         """Return the axis of the last arm joint above a gripper, in the frame of the palm.
         It is None if there is no arm.
         """
@@ -89,9 +128,7 @@ class HandGeometry:
         """
         return sum(j.movable for j in self.model.chain(self.model.root_link, self.palm))
 
-    def gap(
-        self, a: tuple[str, ...], b: tuple[str, ...], axes: Array, q: float
-    ) -> tuple[float, Array, Array, Array]:
+    def gap(self, a: tuple[str, ...], b: tuple[str, ...], axes: F64, q: float) -> tuple[float, F64, F64, F64]:
         """Compute the gap [m] between two jaws of a hand from the points on their facing surfaces, on a grid
         in x and z.
 

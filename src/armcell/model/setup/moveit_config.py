@@ -18,11 +18,10 @@ from armcell.model.robot import RobotModel
 from armcell.model.setup.defaults import ACCELERATION, VELOCITY
 from armcell.model.setup.folder import write_folder, yaml_text
 from armcell.model.setup.launch import launch_files
-from armcell.model.setup.srdf_writer import Element, parse_srdf, srdf_text
-from armcell.model.setup.urdf_text import find_meshes, xml_text
-from armcell.model.srdf import with_srdf_text
+from armcell.model.srdf import Element, parse_srdf, srdf_text, with_srdf_text
 from armcell.model.untrusted_files import parse_xml, read_yaml
 from armcell.model.urdf import parse_urdf, urdf_text
+from armcell.model.urdf_writer import find_meshes, xml_text
 
 logger = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3
+from armcell.model.composition import with_frame
 from armcell.model.robot import EndEffector, Gripper, RobotModel
-from armcell.model.setup.frames import with_frame
 from armcell.model.setup.hand_geometry import SPACING, GripperNotRecognizedError, HandGeometry
 from armcell.model.setup.jaws import LONGEST_PAD, WIDEST_TURN, Jaws
 

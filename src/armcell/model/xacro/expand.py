@@ -32,9 +32,17 @@ from armcell.model.xacro.budget import CHARACTERS, Budget, Function, XacroError
 from armcell.model.xacro.expressions import AttributeDict, NameSpace, evaluate
 from armcell.model.xacro.files import MissingFile, RobotFiles
 from armcell.model.xacro.functions import BASIC, MATH, PYTHON, plain, text_of, tokenize
-from armcell.model.xacro.parameters import Parameter, parameters_of
-from armcell.model.xacro.scope import Scope, evaluate_text, truth
-from armcell.model.xacro.substitution import ARGUMENT, MissingArgument, Substitution, missing_hint
+from armcell.model.xacro.scope import (
+    ARGUMENT,
+    MissingArgument,
+    Parameter,
+    Scope,
+    Substitution,
+    evaluate_text,
+    missing_hint,
+    parameters_of,
+    truth,
+)
 
 log = logging.getLogger(__name__)
 

@@ -1,8 +1,14 @@
-"""Step-by-step inverse kinematics along a straight line, and the reasons why a line stops.
+"""Step-by-step inverse kinematics along a straight line, redundancy resolution, reasons why a line stops.
 
-Each step is a descent from the previous joint positions. A redundant arm may meanwhile move along its null
-space: away from joint limits, or along the solution that `plan_redundancy` finds. An arm without redundant
-joints has a single solution to follow.
+Each step is a descent from the previous joint positions. A redundant arm may meanwhile move along its
+null space: away from joint limits, or along the solution that `plan_redundancy` finds. An arm without
+redundant joints has a single solution to follow.
+
+All joint solutions of a pose that are reachable without a jump form a curve, the null space. The search
+for the redundancy cuts the line coarsely and keeps, at each cut, one configuration per stretch of this
+curve. It continues from each configuration by staying or by moving one stretch to either side (dynamic
+programming as over Descartes' ladder graph, but restricted to the curve through the start). The fine
+steps are then pulled toward the cheapest solution.
 """
 
 from __future__ import annotations
@@ -20,10 +26,96 @@ from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.resting_contact import SeparationChecker, resting_pairs, with_allowed_contacts
 from armcell.core import SE3, CartesianRequest, Contact, ErrorCode
 from armcell.kinematics import IKSolver
-from armcell.planning.cartesian.redundancy import plan_redundancy
 from armcell.planning.constraints.manifold import ConstraintManifold, Violation
 
-Array = NDArray[np.float64]
+F64 = NDArray[np.float64]
+
+STRIDE = 4  # steps of the line between two cuts
+STRETCH = 0.15  # [rad or m] of the joint that moves most along the null space
+WIDEST = 16  # stretches to either side of the start
+LARGEST = 0.6  # [rad or m] largest joint step between two cuts; a larger step means another branch
+NEAR_LIMIT = 0.2  # weight of nearness to a limit relative to squared joint motion
+
+
+@dataclass(frozen=True, eq=False)
+class _Node:
+    q: F64  # (n,)
+    along: F64  # (n,) null-space direction, with the same orientation at all cuts
+    cost: float
+    before: _Node | None
+
+
+def plan_redundancy(
+    ik: IKSolver,
+    poses: list[SE3],
+    start: F64,
+    rest: F64,
+    bounds: F64,
+    zone: F64,
+    allowed: Callable[[F64], bool],
+) -> F64 | None:
+    """Choose how a redundant arm moves along a line. Return joint positions (len(poses), n) that guide the
+    arm, or None if no suitable motion exists.
+
+    Args:
+        start: (n,). rest: (dof,) of all joints. bounds: (n, 2) joint limits. zone: (n,) distance from the
+            limits that is penalized.
+        allowed: returns whether the arm may be at positions (n,).
+    """
+    cuts = [*range(STRIDE - 1, len(poses) - 1, STRIDE), len(poses) - 1]
+    full = rest.copy()
+    full[ik.columns] = start
+    layer = {0: _Node(start, _null(ik, full, None), 0.0, None)}
+    for cut in cuts:
+        found: dict[int, _Node] = {}
+        for number, node in layer.items():
+            for side in (0, -1, 1):
+                at = number + side
+                if abs(at) > WIDEST:
+                    continue
+                full[ik.columns] = node.q
+                if not ik.descend(full, poses[cut], wish=side * STRETCH * node.along, bounds=bounds)[2]:
+                    continue
+                q = full[ik.columns].copy()
+                moved = q - node.q
+                if np.max(np.abs(moved)) > LARGEST:
+                    continue
+                inside = np.minimum(q - bounds[:, 0], bounds[:, 1] - q)
+                near = np.maximum(1.0 - inside / np.maximum(zone, 1e-9), 0.0)
+                cost = node.cost + float(moved @ moved) + NEAR_LIMIT * float(near @ near)
+                if (at in found and found[at].cost <= cost) or not allowed(q):
+                    continue
+                found[at] = _Node(q, _null(ik, full, node.along), cost, node)
+        if not found:
+            return None
+        layer = found
+    return _between(min(layer.values(), key=lambda node: node.cost), cuts, len(poses))
+
+
+def _null(ik: IKSolver, full: F64, like: F64 | None) -> F64:
+    """Compute the direction (n,) in which a redundant arm can move its joints without moving the tip. Its
+    largest component is 1, and its sign agrees with `like`.
+    """
+    J = ik.tree.jacobian(full, ik.tip_link, ik.joint_names)
+    along = np.linalg.svd(J)[2][-1]
+    along = along / np.max(np.abs(along))
+    return -along if like is not None and along @ like < 0 else along
+
+
+def _between(last: _Node, cuts: list[int], count: int) -> F64:
+    """Interpolate a redundant arm's joint positions linearly along a line, between the configurations that
+    the search chose at a few steps of the line (`cuts`).
+    """
+    nodes: list[F64] = []
+    node: _Node | None = last
+    while node is not None:
+        nodes.append(node.q)
+        node = node.before
+    points = np.array(nodes[::-1])
+    at = np.array([-1, *cuts])
+    steps = np.arange(count)
+    return np.column_stack([np.interp(steps, at, points[:, j]) for j in range(points.shape[1])])
+
 
 SINGULAR = 0.05  # smallest singular value of the Jacobian [m, rad], far below normal values
 
@@ -83,14 +175,14 @@ def jump_stop(joint: str, step: float, threshold: float, field: str, unit: str) 
     return StopReason(JUMP, text, ErrorCode.PLANNING_FAILED, {"joint": joint, "step": step, "field": field})
 
 
-def at_violation(manifold: ConstraintManifold, q: Array) -> list[Violation]:
+def at_violation(manifold: ConstraintManifold, q: F64) -> list[Violation]:
     """List the constraints that positions q (n,) on a Cartesian line violate, or satisfy with too small a
     margin.
     """
     return manifold.violations(q, inside=manifold.allowance == 0.0)
 
 
-def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
+def constraint_stop(manifold: ConstraintManifold, q: F64) -> StopReason:
     """Return the reason why the robot stops following a Cartesian line: it would violate path constraints."""
     found = at_violation(manifold, q)
     words = [
@@ -105,7 +197,7 @@ def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
 
 
 def ik_stop(
-    ik: IKSolver, pose: SE3, before: Array, closest: Array, short: tuple[float, float], limits: list[str]
+    ik: IKSolver, pose: SE3, before: F64, closest: F64, short: tuple[float, float], limits: list[str]
 ) -> StopReason:
     """Return the reason why the robot stops following a Cartesian line: inverse kinematics has no suitable
     solution.
@@ -139,7 +231,7 @@ def ik_stop(
 
 
 JointPreference = Callable[
-    [Array, int], Array
+    [F64, int], F64
 ]  # (positions (n,), number of the step) -> desired change of the positions (n,)
 
 TASK = 6  # degrees of freedom of a pose; further joints are redundant
@@ -156,11 +248,11 @@ class FollowedLine:
     The stop is None if the line is complete.
     """
 
-    path: list[Array]
+    path: list[F64]
     stop: Stop | None
 
 
-def _near(checker: KernelChecker, q: Array) -> list[Contact]:
+def _near(checker: KernelChecker, q: F64) -> list[Contact]:
     """List the pairs of bodies that touch or are closer than the
     padding at positions q (n,) on a Cartesian line.
 
@@ -177,13 +269,13 @@ class RestingStartRule:
     has left this contact.
     """
 
-    def __init__(self, checker: KernelChecker, start: Array):
+    def __init__(self, checker: KernelChecker, start: F64):
         near = resting_pairs(checker.exact, start)
         self._leaving = SeparationChecker(checker.exact, start, near)
         self._others = KernelChecker(with_allowed_contacts(checker.scene, near), checker.joint_names)
         self._others.relax_margins(start)
 
-    def forbidden_contacts(self, q: Array) -> list[Contact] | None:
+    def forbidden_contacts(self, q: F64) -> list[Contact] | None:
         """Return the contacts that forbid positions q (n,) on a Cartesian line that starts in resting
         contact, or None if q is allowed.
         """
@@ -203,7 +295,7 @@ class LineFollower:
 
     def __init__(
         self, request: CartesianRequest, ik: IKSolver, checker: KernelChecker | None,
-        manifold: ConstraintManifold | None, rest: Array, bounds: Array, cancel: threading.Event,
+        manifold: ConstraintManifold | None, rest: F64, bounds: F64, cancel: threading.Event,
         resting: RestingStartRule | None = None,
     ):  # fmt: skip
         self.cancel, self.resting = cancel, resting
@@ -216,7 +308,7 @@ class LineFollower:
         span = bounds[:, 1] - bounds[:, 0]
         self.zone = np.where(np.isfinite(span), np.minimum(ZONE, ZONE_SHARE * span), 0.0)
 
-    def follow(self, poses: list[SE3], start: Array) -> FollowedLine:
+    def follow(self, poses: list[SE3], start: F64) -> FollowedLine:
         """Follow the tip poses of a Cartesian line from joint positions (n,), and return the attempt that
         gets farthest.
         """
@@ -230,7 +322,7 @@ class LineFollower:
         assert best is not None
         return best
 
-    def _wishes(self, poses: list[SE3], start: Array) -> Iterator[JointPreference | None]:
+    def _wishes(self, poses: list[SE3], start: F64) -> Iterator[JointPreference | None]:
         if len(start) <= TASK:
             yield None
             return
@@ -242,13 +334,13 @@ class LineFollower:
         if way is not None:
             yield lambda q, k: way[k] - q
 
-    def _from_limits(self, q: Array, k: int) -> Array:
+    def _from_limits(self, q: F64, k: int) -> F64:
         low, high = self.bounds[:, 0] + self.zone - q, q - self.bounds[:, 1] + self.zone
         return GAIN * (np.maximum(low, 0.0) - np.maximum(high, 0.0))
 
-    def _walk(self, poses: list[SE3], start: Array, wish: JointPreference | None) -> FollowedLine:
+    def _walk(self, poses: list[SE3], start: F64, wish: JointPreference | None) -> FollowedLine:
         ik, q = self.ik, self._full(start)
-        path: list[Array] = []
+        path: list[F64] = []
         last = start
         for k, pose in enumerate(poses):
             if self.cancel.is_set():
@@ -277,7 +369,7 @@ class LineFollower:
             last = now
         return FollowedLine(path, None)
 
-    def _refused(self, q: Array) -> Stop | None:
+    def _refused(self, q: F64) -> Stop | None:
         """Return the reason why the arm must not move to positions q (n,) when it follows a Cartesian line,
         or None if q is allowed.
         """
@@ -291,14 +383,14 @@ class LineFollower:
             return Stop(lambda: constraint_stop(manifold, q))
         return None
 
-    def _full(self, q: Array) -> Array:
+    def _full(self, q: F64) -> F64:
         full = self.rest.copy()
         full[self.ik.columns] = q
         return full
 
 
 def relative_jump(
-    path: Array, names: tuple[str, ...], slides: NDArray[np.bool_], factor: float
+    path: F64, names: tuple[str, ...], slides: NDArray[np.bool_], factor: float
 ) -> tuple[int, Stop] | None:
     """Find the first step on a Cartesian line in which the joints move more than `factor` times as far as in
     an average step (as MoveIt does).

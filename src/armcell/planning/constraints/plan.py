@@ -1,11 +1,15 @@
-"""Planning of motions that satisfy path constraints everywhere, from start to end."""
+"""Planning of motions that satisfy path constraints everywhere, and its native RRT-Connect planner.
+
+The planner searches on the constraint manifold; its kernels have a warm-up.
+"""
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import islice
 from typing import Any
 
@@ -14,7 +18,10 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
+    SE3,
+    Box,
     ConstraintGoal,
+    Constraints,
     ErrorCode,
     InputError,
     JointPath,
@@ -23,17 +30,33 @@ from armcell.core import (
     PlanRequest,
     PlanResult,
     PoseGoal,
+    PositionConstraint,
 )
+from armcell.model import load_robot
 from armcell.planning.certify import SAGITTA, clearance_along, complete_motion, torque_model
 from armcell.planning.constraints.manifold import ConstraintManifold, Violation
-from armcell.planning.constraints.planner import constrained_planner, warm_up_constraints
+from armcell.planning.constraints.rrt_connect import (
+    Steps,
+    closest_at,
+    constrained_rrt_connect,
+    space_size,
+)
+from armcell.planning.constraints.simplify import shorten
 from armcell.planning.constraints.visibility import VisibilityManifold, make_manifold
 from armcell.planning.goals.joint_goals import stream_goals
 from armcell.planning.goals.sampling import reaches_goal, sample_goal_positions
+from armcell.planning.planners.native.rrt_connect import ITERATIONS, Query
 from armcell.planning.planners.problem import PlannerResult, Problem, sampling_bounds
-from armcell.planning.planners.registry import find_planner
-from armcell.planning.planners.rrt_connect import stop_flag, unsolved_result
+from armcell.planning.planners.registry import announce_compilation, find_planner
+from armcell.planning.planners.rrt_connect import (
+    NativePlanner,
+    RRTConnectSettings,
+    planner_of,
+    stop_flag,
+    unsolved_result,
+)
 from armcell.planning.request import ValidatedRequest
+from armcell.scene import PlanningScene
 from armcell.timing import (
     BlendedPath,
     TimingSettings,
@@ -44,7 +67,107 @@ from armcell.timing import (
     smoothing_deviation,
 )
 
-Array = NDArray[np.float64]
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+
+
+F64 = NDArray[np.float64]
+
+SETTINGS = RRTConnectSettings(max_waypoints=4096)
+
+
+class ConstrainedPlanner(NativePlanner):
+    """Planner for path constraints: a `NativePlanner` whose search trees and shortcuts stay on the constraint
+    manifold.
+
+    The planner reuses the trees of the current thread's planner.
+
+    Args:
+        rejection: reject samples and edges that leave the tolerances instead of projecting them (plain
+            RRT-Connect, for comparison).
+    """
+
+    def __init__(self, native: NativePlanner, manifold: ConstraintManifold, rejection: bool = False):
+        self.checker, self.settings, self.manifold = native.checker, SETTINGS, manifold
+        self.reach, self.trees, self.found = native.reach, native.trees, native.found
+        dof, m = manifold.dof, SETTINGS.max_waypoints
+        self.path = np.zeros((m, dof))
+        self.slack, self.ends = np.zeros(dof), np.zeros(space_size(dof))
+        self.space, self.index = np.zeros((2 * m + 8) * dof + m), np.zeros(2 * m, np.int64)
+        self.rejection = rejection
+        self.bounds = (self.slack, self.slack)
+
+    def search(
+        self,
+        start: F64,
+        goals: F64,
+        lower: F64,
+        upper: F64,
+        seed: int,
+        stop: NDArray[np.int64],
+        step: float,
+        iterations: int | None = None,
+        go_on: bool = False,
+    ) -> tuple[int, int, int]:
+        if not go_on:
+            self.found[ITERATIONS] = 0
+        self.bounds = (lower, upper)
+        shift = np.random.default_rng(seed).random(len(start)) if seed else np.full(len(start), 0.5)
+        delta = self.reach if self.rejection else self.manifold.step
+        return constrained_rrt_connect(
+            self.checker.handle, self.manifold.handle,
+            Query(start, goals, lower, upper, shift, self.reach, step), delta, self.manifold.allowance,
+            not self.rejection, self.trees, self.ends, self.found, stop,
+            self.settings.max_iterations if iterations is None else iterations, self.path,
+        )  # fmt: skip
+
+    def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
+        """Shorten a path (path[:count]) on the constraint manifold in place.
+
+        Return the new count, or 0 if a proof fails.
+        """
+        m = self.manifold
+        rules = Steps(*self.bounds, self.slack, m.step, self.settings.step, m.allowance, True)
+        return shorten(self.checker.handle, m.handle, self.path, count, self.space, self.index, rules, stop)
+
+    @property
+    def closest(self) -> F64 | None:
+        dof = self.manifold.dof
+        at = closest_at(dof)
+        return self.ends[at + 1 :][: 2 * dof].reshape(2, dof).copy() if np.isfinite(self.ends[at]) else None
+
+
+def constrained_planner(checker: KernelChecker, manifold: ConstraintManifold) -> ConstrainedPlanner:
+    """Create a planner for path constraints that uses the search trees of the current thread."""
+    return ConstrainedPlanner(planner_of(checker), manifold)
+
+
+logger = logging.getLogger(__name__)
+
+
+@lru_cache(maxsize=1)
+def warm_up_constraints() -> float:
+    """Compile all kernels for planning with path constraints before their first use, and return the duration
+    [s].
+    """
+    began = time.monotonic()
+    announce_compilation("RRTConnect with path constraints", constrained_rrt_connect)
+    model = load_robot("parallel_gripper")
+    scene, group = PlanningScene.of(model), "gripper"
+    finger = next(j.child for j in model.joints.values() if j.name in model.group(group).joint_names)
+    anywhere = PositionConstraint(((Box(1.0, 1.0, 1.0), SE3.identity()),), finger)
+    checker = KernelChecker(scene, model.group(group).joint_names)
+    manifold = ConstraintManifold(scene, group, Constraints(positions=(anywhere,)))
+    a, b = np.array([0.01]), np.array([0.04])
+    manifold.values(a)
+    manifold.first_unproven_edge(np.vstack([a, b]))
+    manifold.project(a, a, b)
+    constrained_planner(checker, manifold).plan(a, b[None], np.array([0.0]), np.array([0.05]))
+    seconds = time.monotonic() - began
+    if seconds > 2.0:
+        logger.info("compiled planning with path constraints in %.0f s; it is kept for later runs", seconds)
+    return seconds
+
 
 LADDER = ((0.05, 0.032), (0.01, 0.032), (0.01, 0.016), (2e-3, 0.008), (5e-4, 4e-3))
 """Corner deviation [rad] and smoothing window [s]; the next pair is used if the previous one violates the
@@ -54,7 +177,7 @@ PIECES = 4  # chords between two points of the trajectory, on which the constrai
 
 
 def time_on_manifold(
-    checker: KernelChecker, manifold: ConstraintManifold, waypoints: Array, request: PlanRequest,
+    checker: KernelChecker, manifold: ConstraintManifold, waypoints: F64, request: PlanRequest,
     torque: TorqueModel | None = None,
 ) -> JointTrajectory | None:  # fmt: skip
     """Compute the timing of a path (k, n) on the constraint manifold; return None if the timed motion cannot
@@ -85,7 +208,7 @@ def time_on_manifold(
     return None
 
 
-def chords(trajectory: JointTrajectory) -> tuple[Array, Array]:
+def chords(trajectory: JointTrajectory) -> tuple[F64, F64]:
     """Approximate a constrained motion by chords (m, n), and bound the deviation (n,) [rad] of the motion
     from them.
 
@@ -131,7 +254,7 @@ def check_planner(validated: ValidatedRequest) -> None:
 
 
 def plan_constrained(
-    validated: ValidatedRequest, checker: KernelChecker, start: Array, goals: tuple[Array, ...]
+    validated: ValidatedRequest, checker: KernelChecker, start: F64, goals: tuple[F64, ...]
 ) -> PlanResult:
     """Plan a certified motion with timing that is proven to satisfy its path constraints everywhere.
 
@@ -253,7 +376,7 @@ def _violated(code: ErrorCode, what: str, violations: list[Violation]) -> Outcom
     return Outcome(code, text, {"violations": violations})
 
 
-def _direct(problem: Problem, manifold: ConstraintManifold) -> Array | None:
+def _direct(problem: Problem, manifold: ConstraintManifold) -> F64 | None:
     """Return the straight line to a goal if it is collision-free and satisfies the path constraints."""
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
@@ -269,8 +392,8 @@ def _goals(
     validated: ValidatedRequest,
     checker: KernelChecker,
     manifold: ConstraintManifold,
-    found: tuple[Array, ...],
-) -> tuple[tuple[Array, ...], list[Violation]]:
+    found: tuple[F64, ...],
+) -> tuple[tuple[F64, ...], list[Violation]]:
     """Select the goals that satisfy the path constraints of the request.
 
     If there are none, project further goal samples onto the constraints; if this fails, return the
@@ -287,7 +410,7 @@ def _goals(
 
 def _moved(
     validated: ValidatedRequest, checker: KernelChecker, manifold: ConstraintManifold
-) -> Iterator[Array]:
+) -> Iterator[F64]:
     """Yield collision-free goals, projected so that they satisfy the path constraints."""
     scene, request = validated.scene, validated.request
     rng = np.random.default_rng([request.seed, 2])
@@ -308,9 +431,9 @@ def _more(
     validated: ValidatedRequest,
     checker: KernelChecker,
     manifold: ConstraintManifold,
-    known: tuple[Array, ...],
+    known: tuple[F64, ...],
     seed: int,
-) -> Iterator[Array] | None:
+) -> Iterator[F64] | None:
     """Yield further goals that satisfy the path constraints, while the search for a path is running."""
     more = stream_goals(validated, checker, known, seed)
     return None if more is None else (q for q in more if not manifold.violations(q))

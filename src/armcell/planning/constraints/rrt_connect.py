@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 
 from armcell.collision.kernel.block import EXACT, PADDED, check_block, ints, lanes_of
-from armcell.collision.kernel.layout import DOF as DOF_OF_PACK
 from armcell.collision.kernel.motion import edge_free
+from armcell.collision.kernel.pack import DOF as DOF_OF_PACK
 from armcell.collision.kernel.simd import L, pointer
 from armcell.planning.constraints.error_kernels import (
     DOF,

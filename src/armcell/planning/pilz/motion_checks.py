@@ -12,7 +12,7 @@ from armcell.core import Contact, ErrorCode, JointTrajectory, Outcome, PlanReque
 from armcell.model import RobotModel
 from armcell.planning.moved_frame import MovedFrame
 from armcell.planning.pilz.paths import Curve
-from armcell.timing.sampling import peaks
+from armcell.timing.moving_average import peaks
 
 Array = NDArray[np.float64]
 

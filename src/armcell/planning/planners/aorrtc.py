@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.planning.first_compile import BOUNDS, small_problem
 from armcell.planning.planners.native.aorrtc import Improvement, aorrtc
 from armcell.planning.planners.native.rrt_connect import FOUND
 from armcell.planning.planners.native.tree import new_trees
@@ -29,7 +30,6 @@ from armcell.planning.planners.registry import (
     settings_parsers,
 )
 from armcell.planning.planners.rrt_connect import NativePlanner, stop_flag, unsolved_result
-from armcell.planning.warm_up import BOUNDS, small_problem
 
 Array = NDArray[np.float64]
 

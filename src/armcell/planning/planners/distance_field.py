@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.kernel.cover import small_triangles, triangulated
 from armcell.collision.kernel.lru_cache import LruCache
-from armcell.collision.kernel.surface import small_triangles, triangulated
 from armcell.core import Box, Capsule, Cylinder, Octree, Plane, PointCloud, Shape, Sphere
 from armcell.core.geometry import local_bounds
 from armcell.scene import CollisionObject

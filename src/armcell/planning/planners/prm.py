@@ -24,6 +24,7 @@ from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.motion import prove_points
 from armcell.collision.kernel.simd import L
 from armcell.model import RobotModel
+from armcell.planning.first_compile import BOUNDS, small_problem
 from armcell.planning.planners.native import roadmap as compiled
 from armcell.planning.planners.native.roadmap import Graph, Search, query
 from armcell.planning.planners.native.rrt_connect import Samples, kronecker_steps
@@ -43,7 +44,6 @@ from armcell.planning.planners.rrt_connect import (
     stop_flag,
     unsolved_result,
 )
-from armcell.planning.warm_up import BOUNDS, small_problem
 
 Array = NDArray[np.float64]
 

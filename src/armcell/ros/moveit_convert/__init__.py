@@ -1,14 +1,12 @@
 """Conversions between armcell's types and moveit_msgs, with one module per kind of message."""
 
-from armcell.ros.moveit_convert.constraints import (
-    constraints_from_message,
-    constraints_message,
-    goal_from_message,
-)
 from armcell.ros.moveit_convert.objects import object_from_message, object_message
 from armcell.ros.moveit_convert.requests import (
     cartesian_request_from_message,
+    constraints_from_message,
+    constraints_message,
     error_code_message,
+    goal_from_message,
     plan_request_from_message,
 )
 from armcell.ros.moveit_convert.scenes import (

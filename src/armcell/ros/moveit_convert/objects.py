@@ -1,15 +1,202 @@
-"""Conversion of collision objects from and to moveit_msgs/CollisionObject."""
+"""Conversion of shapes and collision objects from and to shape_msgs and moveit_msgs/CollisionObject.
+
+Shapes are shape_msgs/SolidPrimitive, Mesh and Plane. Both sides use full lengths, not half-lengths.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
-from armcell.core import SE3, InputError, Plane, Shape
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import (
+    SE3,
+    SO3,
+    InputError,
+    Mesh,
+    Plane,
+    Shape,
+    ShapeKind,
+    SolidPrimitive,
+    shape_kind,
+    shapes,
+    simpler_parts,
+)
 from armcell.ros.convert import pose_from_message, pose_message
-from armcell.ros.moveit_convert.shapes import ShapeMessages, mesh_shape, plane_pose, primitive_shape
 from armcell.ros.schema import Schema
 from armcell.scene import WORLD, CollisionObject, ObjectType
+
+PRISM = 5  # shape_msgs/SolidPrimitive's type of a prism, only in ROS 2; armcell makes it a mesh
+
+
+def _primitives() -> dict[str, tuple[ShapeKind, SolidPrimitive]]:
+    """Return the shape classes that a shape_msgs/SolidPrimitive message can represent, by shape name."""
+    return _primitives_of(tuple(shapes.imported().items()))
+
+
+@lru_cache(maxsize=2)
+def _primitives_of(kinds: tuple[tuple[str, ShapeKind], ...]) -> dict[str, tuple[ShapeKind, SolidPrimitive]]:
+    return {name: (kind, kind.primitive) for name, kind in kinds if kind.primitive is not None}
+
+
+def primitive_type(name: str) -> int:
+    """Return the type number that shape_msgs/SolidPrimitive assigns to a shape name such as "box"."""
+    return _primitives()[name][1].type
+
+
+def primitive_shape(message: Any) -> Shape:
+    """Convert a shape_msgs/SolidPrimitive message to a box, sphere, cylinder or cone of armcell.
+
+    Raises:
+        InputError: the type is unknown, dimensions are missing, or a dimension is not positive.
+    """
+    number, sizes, primitives = int(message.type), [float(v) for v in message.dimensions], _primitives()
+    known = {primitive.type: name for name, (_, primitive) in primitives.items()} | {PRISM: "prism"}
+    if number not in known:
+        names = ", ".join(f"{number} {name}" for number, name in sorted(known.items()))
+        raise InputError(f"solid primitive of type {number}", hint=names)
+    kind, primitive = primitives.get(known[number], (None, SolidPrimitive(PRISM, ("height",))))
+    if len(sizes) < len(primitive.dimensions):
+        need = len(primitive.dimensions)
+        raise InputError(f"a {known[number]} has {len(sizes)} dimensions, it needs {need}")
+    if kind is None:
+        return prism(np.array([(p.x, p.y) for p in message.polygon.points]).reshape(-1, 2), sizes[0])
+    by_name = dict(zip(primitive.dimensions, sizes, strict=False))
+    return kind.make(*(by_name[size] for size in kind.sizes))
+
+
+def prism(base: NDArray[np.float64], height: float) -> Mesh:
+    """Convert a shape_msgs prism to a mesh. The polygon is extruded by half of `height` in both directions.
+
+    Args:
+        base: corners (n, 2) [m] of a polygon without holes.
+        height: total height [m].
+    Raises:
+        InputError: the polygon has fewer than three corners, no area or crossing edges, or the height is not
+            positive.
+    """
+    if len(base) < 3 or not np.all(np.isfinite(base)) or not (np.isfinite(height) and height > 0):
+        raise InputError(f"a prism has {len(base)} corners and height {height:g} m", hint="3 corners or more")
+    if _area(base) < 0:
+        base = base[::-1]
+    n, half = len(base), np.full((len(base), 1), height / 2)
+    caps = _triangles(base)
+    sides = [
+        face for i in range(n) for j in [(i + 1) % n] for face in ([i, j, n + j], [i, n + j, n + i])
+    ]  # fmt: skip
+    faces = [*caps[:, ::-1].tolist(), *(caps + n).tolist(), *sides]
+    vertices = np.vstack([np.hstack([base, -half]), np.hstack([base, half])])
+    return Mesh(vertices, np.array(faces, dtype=np.int32))
+
+
+def _area(corners: NDArray[np.float64]) -> float:
+    """Return the signed area [m2] of a prism's base polygon (n, 2). The area is positive if the corners are
+    counterclockwise.
+    """
+    (x, y), (u, v) = corners.T, np.roll(corners, -1, axis=0).T
+    return float(np.sum(x * v - u * y)) / 2
+
+
+def _triangles(base: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Triangulate the base polygon (n, 2) of a prism into n - 2 triangles by ear clipping. The corners must
+    be counterclockwise.
+
+    Source: Meisters 1975.
+    """
+    left, found = list(range(len(base))), []
+    while len(left) > 3:
+        for k in range(len(left)):
+            ear = [left[k - 1], left[k], left[(k + 1) % len(left)]]
+            others = [i for i in left if i not in ear]
+            if _area(base[ear]) > 0 and not any(_inside(base[i], base[ear]) for i in others):
+                found.append(ear)
+                del left[k]
+                break
+        else:
+            raise InputError("the edges of a prism's polygon cross, or it has no area")
+    if _area(base[left]) <= 0:
+        raise InputError("a prism's polygon has no area")
+    return np.array([*found, left])
+
+
+def _inside(point: NDArray[np.float64], triangle: NDArray[np.float64]) -> bool:
+    return all(_area(np.array([triangle[i - 1], triangle[i], point])) >= 0 for i in range(3))
+
+
+def mesh_shape(message: Any) -> Mesh:
+    """Convert a shape_msgs/Mesh message to a mesh shape.
+
+    Raises:
+        InputError: the mesh has no triangles, or a triangle refers to a vertex that does not exist.
+    """
+    vertices = np.array([(v.x, v.y, v.z) for v in message.vertices], dtype=float).reshape(-1, 3)
+    faces = np.array([list(t.vertex_indices) for t in message.triangles], dtype=np.int64).reshape(-1, 3)
+    return Mesh(vertices, faces.astype(np.int32))
+
+
+def plane_pose(message: Any) -> SE3:
+    """Return the pose at which armcell's plane shape represents the shape_msgs/Plane a x + b y + c z + d = 0.
+
+    In armcell, the z axis of the plane's frame is the normal, and the half-space below z = 0 is solid.
+
+    Raises:
+        InputError: the normal has length zero.
+    """
+    a, b, c, d = (float(v) for v in message.coef)
+    normal = np.array([a, b, c])
+    length = float(np.linalg.norm(normal))
+    if not np.isfinite(length) or length < 1e-9 or not np.isfinite(d):
+        raise InputError(f"a plane has coefficients {[a, b, c, d]}, its normal needs a length")
+    normal /= length
+    return SE3(SO3.between(np.array([0.0, 0.0, 1.0]), normal), -d / length * normal)
+
+
+class ShapeMessages:
+    """Shapes of a collision object or a bounding volume as shape_msgs messages, with their poses.
+
+    `add` appends one shape at a time.
+    """
+
+    def __init__(self, schema: Schema):
+        self._schema = schema
+        self.primitives: list[tuple[Any, SE3]] = []
+        self.meshes: list[tuple[Any, SE3]] = []
+        self.planes: list[tuple[Any, SE3]] = []
+
+    def add(self, shape: Shape, T: SE3) -> None:
+        """Append the shape_msgs message of a shape, and its pose. A capsule becomes a cylinder and two
+        spheres.
+
+        Point clouds and octrees are omitted, because these lists cannot represent them.
+        """
+        for part, T_part in simpler_parts(shape, T):
+            kind = shape_kind(part)
+            if kind is not None and kind.primitive is not None:
+                sizes = dict(zip(kind.sizes, kind.values(part), strict=True))
+                self._primitive(kind.primitive, sizes, T_part)
+            elif isinstance(part, Plane):
+                coefficients = np.array([0.0, 0.0, 1.0, 0.0])
+                self.planes.append((self._schema.new("shape_msgs/Plane", coef=coefficients), T_part))
+            elif isinstance(part, Mesh):
+                self.meshes.append((self._mesh(part), T_part))
+
+    def _primitive(self, primitive: SolidPrimitive, sizes: dict[str, float], T: SE3) -> None:
+        dimensions = np.array([sizes[name] for name in primitive.dimensions], dtype=float)
+        new = self._schema.new("shape_msgs/SolidPrimitive", type=primitive.type, dimensions=dimensions)
+        self.primitives.append((new, T))
+
+    def _mesh(self, shape: Mesh) -> Any:
+        Point = self._schema.message("geometry_msgs/Point")
+        Triangle = self._schema.message("shape_msgs/MeshTriangle")
+        return self._schema.new(
+            "shape_msgs/Mesh",
+            triangles=[Triangle(vertex_indices=f.astype(np.uint32)) for f in shape.faces],
+            vertices=[Point(*v) for v in shape.vertices.tolist()],
+        )
+
 
 ADD, REMOVE, APPEND, MOVE = 0, 1, 2, 3  # moveit_msgs/CollisionObject
 

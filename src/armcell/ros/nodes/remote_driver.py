@@ -24,8 +24,8 @@ from armcell.drivers import Capability, Driver, DriverProxy, ExecutionHandle, Gr
 from armcell.model import Gripper
 from armcell.records.mcap_writer import ros_name
 from armcell.ros.bus import Bus
-from armcell.ros.convert import pose_from_message
-from armcell.ros.fault_counter import FaultCounter
+from armcell.ros.convert import check_in_meters, pose_from_message, unit_fault
+from armcell.ros.faults import FaultCounter
 from armcell.ros.moveit_convert.states import joint_state_from_message, trajectory_message
 from armcell.ros.nodes.cell_motions import CellMotions
 from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
@@ -40,7 +40,6 @@ from armcell.ros.nodes.external_controllers import (
 )
 from armcell.ros.nodes.gripper_node import GripperMotions, gripper_topics, objects_near_tcp
 from armcell.ros.nodes.motion_queue import MotionHandle
-from armcell.ros.units import check_in_meters, unit_fault
 from armcell.scene import WORLD, PlanningScene
 
 logger = logging.getLogger(__name__)

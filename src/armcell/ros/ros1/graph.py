@@ -15,9 +15,9 @@ from armcell.core.network_endpoints import Endpoint
 from armcell.ros.bus import Bus
 from armcell.ros.names import NameMap
 from armcell.ros.ros1.bridge import CLOCK, USE_SIM_TIME, BusBridge
-from armcell.ros.ros1.graph_parameters import GraphParameters
 from armcell.ros.ros1.master import Ros1Master
 from armcell.ros.ros1.node import Ros1Node
+from armcell.ros.ros1.parameters import GraphParameters
 from armcell.ros.ros1.rosout import LEVELS, RosOut
 from armcell.ros.ros1.settings import Ros1Settings, is_this_machine
 from armcell.ros.ros1.xmlrpc import RpcError, call_method

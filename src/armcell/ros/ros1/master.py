@@ -18,7 +18,7 @@ from typing import Any
 from armcell.core import ArmcellError
 from armcell.core.network_endpoints import Endpoint
 from armcell.ros.ros1 import xmlrpc
-from armcell.ros.ros1.parameter_tree import ParameterTree, subscriber_update
+from armcell.ros.ros1.parameters import ParameterTree, subscriber_update
 from armcell.ros.ros1.settings import Ros1Settings
 from armcell.ros.ros1.xmlrpc import Answer, Method, RpcServer, call_raw
 

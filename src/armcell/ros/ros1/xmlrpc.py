@@ -20,8 +20,8 @@ from typing import Any
 from armcell.core import ArmcellError, InputError
 from armcell.core.network_endpoints import Endpoint
 from armcell.ros.names import resolve
-from armcell.ros.ros1.listener import Listener
 from armcell.ros.ros1.settings import host_and_port
+from armcell.ros.ros1.sockets import Listener
 
 logger = logging.getLogger(__name__)
 MAX_BODY = 16 << 20  # [bytes] large enough for robot descriptions, which are parameters

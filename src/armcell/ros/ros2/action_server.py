@@ -14,7 +14,7 @@ from typing import Any
 
 from armcell.core import ArmcellError
 from armcell.ros.actions import MAX_GOALS, GoalState
-from armcell.ros.failure_responses import write_failure
+from armcell.ros.faults import write_failure
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.context import Context
 from armcell.ros.ros2.qos import DEFAULT, LATCHED

@@ -20,7 +20,7 @@ from armcell.core.network_endpoints import Endpoint
 from armcell.ros.bus import Bus, Handler, TopicInfo
 from armcell.ros.distros import distro_from_environment
 from armcell.ros.names import resolve
-from armcell.ros.robot_description_publisher import RobotDescriptionPublisher
+from armcell.ros.robot_description import RobotDescriptionPublisher
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.action_client import Ros2ActionClient
 from armcell.ros.ros2.action_server import Ros2ActionServer

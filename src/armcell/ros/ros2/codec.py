@@ -1,9 +1,7 @@
-"""ROS 2 serialization (CDR) of the bus's messages, by the definitions of a distribution.
+"""ROS 2 serialization (CDR) of the bus's messages, and the message definitions of a distribution.
 
-Messages keep the bus's own classes, which carry the fields of both ROS 1 and ROS 2. The codec writes the
-default for a field that a message lacks (a script's message has only ROS 1's fields). It omits a field that
-the distribution lacks (a header's `seq`), and sets that field to its default when it reads. Types of the rmw
-layer get their classes here.
+The definitions include messages derived from actions. The bus's own definitions, which are ROS 1's,
+apply to user-defined types and to types that have the same layout in ROS 2.
 """
 
 from __future__ import annotations
@@ -14,17 +12,58 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, cast
 
+from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys.store import Typestore
 
 from armcell.core import InputError, UnknownNameError
 from armcell.ros.codec import MAX_ITEMS, WireError
-from armcell.ros.definitions import PLACEHOLDER, field_parts, plain_name, rosbags_name
-from armcell.ros.distros import DISTROS
+from armcell.ros.definitions import PLACEHOLDER, Definition, field_parts, plain_name, rosbags_name
+from armcell.ros.distros import DISTROS, distro_definitions
 from armcell.ros.messages import ArrayConverter, Message, make_class, python_name
-from armcell.ros.ros2.ros2_definitions import definitions
 from armcell.ros.ros2.type_hash import TypeHashes
 from armcell.ros.schema import Schema
+
+
+def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
+    """Return all message definitions of a ROS 2 distribution by `pkg/Name`, including the messages of its
+    actions.
+
+    Raises:
+        UnknownNameError: the distribution does not exist.
+    """
+    theirs = distro_definitions(distro).messages
+    found = schema.definitions | {n: d for n, d in theirs.items() if n not in schema.own}
+    for action in schema.actions:
+        found |= _action_messages(action)
+    return found
+
+
+def _action_messages(action: str) -> dict[str, Definition]:
+    """Return the messages that ROS 2's rosidl derives from the definition of an action.
+
+    Source: design.ros2.org/articles/actions.html.
+    """
+    uuid = ("goal_id", _node("unique_identifier_msgs/UUID"))
+    parts: dict[str, list[Any]] = {
+        "_SendGoal_Request": [uuid, ("goal", _node(f"{action}Goal"))],
+        "_SendGoal_Response": [
+            ("accepted", (Nodetype.BASE, ("bool", 0))),
+            ("stamp", _node("builtin_interfaces/Time")),
+        ],
+        "_GetResult_Request": [uuid],
+        "_GetResult_Response": [
+            ("status", (Nodetype.BASE, ("int8", 0))),
+            ("result", _node(f"{action}Result")),
+        ],
+        "_FeedbackMessage": [uuid, ("feedback", _node(f"{action}Feedback"))],
+    }
+    return {f"{action}{part}": Definition([], fields) for part, fields in parts.items()}
+
+
+def _node(name: str) -> Any:
+    return (Nodetype.NAME, rosbags_name(name))
+
 
 HEADER_BYTES = 4  # CDR's encapsulation header, before the fields
 

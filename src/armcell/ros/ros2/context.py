@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from armcell.ros.bus import Bus
-from armcell.ros.fault_counter import FaultCounter
+from armcell.ros.faults import FaultCounter
 from armcell.ros.ros2.codec import Ros2Codec
 from armcell.ros.ros2.dds import Participant, Reader, Sample, Writer
 from armcell.ros.ros2.domain_scope import DomainScope

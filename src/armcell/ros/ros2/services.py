@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import ServiceError
 from armcell.ros.codec import WireError
-from armcell.ros.failure_responses import write_failure
+from armcell.ros.faults import write_failure
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.codec import HEADER_BYTES
 from armcell.ros.ros2.context import Context

@@ -14,10 +14,9 @@ from dataclasses import dataclass, field
 from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import Bus
 from armcell.ros.codec import CODECS
-from armcell.ros.tcp.connection import RosTcpConnection
+from armcell.ros.tcp.connection import OutboxLimits, RosTcpConnection
 from armcell.ros.tcp.framing import KEEP_ALIVE as KEEP_ALIVE_FRAME
 from armcell.ros.tcp.framing import MAX_BODY
-from armcell.ros.tcp.outbox import OutboxLimits
 from armcell.ros.tcp.peer import Params, Peer, required_parameter
 
 logger = logging.getLogger(__name__)

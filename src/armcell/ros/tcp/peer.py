@@ -19,7 +19,7 @@ from typing import Any
 from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import Attachment, Bus, Publisher, Service, ServiceError
 from armcell.ros.codec import Codec
-from armcell.ros.fault_counter import FaultCounter
+from armcell.ros.faults import FaultCounter
 from armcell.ros.names import resolve
 from armcell.ros.tcp.connection import RosTcpConnection
 from armcell.ros.tcp.framing import CommandError, Frame, command, frame_header, parameters

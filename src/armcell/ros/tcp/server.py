@@ -24,9 +24,8 @@ from armcell.ros.bus import Bus
 from armcell.ros.codec import CODECS, Codec
 from armcell.ros.definitions import plain_name
 from armcell.ros.names import resolve
-from armcell.ros.tcp.connection import RosTcpConnection
+from armcell.ros.tcp.connection import OutboxLimits, RosTcpConnection
 from armcell.ros.tcp.framing import MAX_BODY, Frame, command
-from armcell.ros.tcp.outbox import OutboxLimits
 from armcell.ros.tcp.peer import Params, Peer, required_parameter
 
 logger = logging.getLogger(__name__)

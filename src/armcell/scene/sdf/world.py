@@ -21,9 +21,8 @@ from armcell.scene.sdf.elements import (
     skipped,
     text_of,
 )
-from armcell.scene.sdf.frames import Scope
 from armcell.scene.sdf.includes import ResourceFinder
-from armcell.scene.sdf.models import Model, ModelReader, add_frames, saved_poses
+from armcell.scene.sdf.models import Model, ModelReader, Scope, add_frames, saved_poses
 from armcell.scene.sdf.solids import SdfCollision, color_of, mass_of, material_of, solid_of
 
 WORLD = {"model", "include", "frame", "gravity", "state"}

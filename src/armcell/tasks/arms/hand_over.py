@@ -12,13 +12,12 @@ from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
-from armcell.tasks.interfaces import holding_condition
 from armcell.tasks.pick import check_hand_is_free, grasp_stages
 from armcell.tasks.search import PartialSolution, SearchState, Stage, stage_types
 from armcell.tasks.stages import ChooseGrasp, Close, Connect, MoveStraight
 from armcell.tasks.stages.grasp import finger_state, reachable
 from armcell.tasks.steps import CheckStillHeld, CommandGripper, ExpectContact, perform_all
-from armcell.tasks.task import plan_stages
+from armcell.tasks.task import holding_condition, plan_stages
 
 TURNS = (0.0, np.pi / 2, -np.pi / 2, np.pi)  # [rad] rotations about the vertical tried at a meeting point
 RISES = (0.15, 0.3, 0.0)  # [m] above the object's present height

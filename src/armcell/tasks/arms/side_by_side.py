@@ -1,23 +1,41 @@
-"""Programs of several arms that work side by side, each at its own pace.
+"""Arms that work side by side at their own pace: programs, and coordination by zones and yielding.
 
 Each program has its own task context.
+
+A motion starts only when it is certified, with its timing, against the motions and final poses of the other
+arms, and when its own final pose is clear of their motions. A resting arm is therefore always safe. If arms
+wait for each other, those that started to wait later go home and return when the first one has moved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from armcell.collision.inter_arm_checker import check_arms, without_arms
-from armcell.core import ErrorCode, JointTrajectory, Outcome
+import numpy as np
+
+from armcell.collision.inter_arm_checker import InterArmChecker, check_arms, without_arms
+from armcell.core import (
+    ErrorCode,
+    InputError,
+    JointGoal,
+    JointState,
+    JointTrajectory,
+    Outcome,
+    PlanRequest,
+    PlanResult,
+)
 from armcell.drivers import Driver
-from armcell.execution import ArmDriver, run_cooperatively
-from armcell.planning import RunningMotion
+from armcell.execution import ArmDriver, execute, run_cooperatively
+from armcell.planning import RunningMotion, plan_around_moving_arms
 from armcell.scene import PlanningScene
-from armcell.tasks.arms.coordinator import MotionCoordinator
 from armcell.tasks.context import HeldObject, TaskContext
 from armcell.tasks.steps import Motion
+
+if TYPE_CHECKING:
+    from armcell.tasks.steps import Motion
 
 
 class ArmContext(TaskContext):
@@ -141,3 +159,305 @@ def side_by_side(
         first.code, first.message, first.evidence, makespan=ctx.driver.now - began, outcomes=outcomes,
         waited=coordinator.waited, yielded=coordinator.yielded, searched=coordinator.searched,
     )  # fmt: skip
+
+
+RETRY = 0.1  # [s] between attempts of an arm that waits to move
+IDLE = 0.02  # [s] between checks of an arm that waits for a zone or another arm
+AWAY = 0.005  # [rad] an arm further than this from a motion's start returns there first
+HOME = "home"
+MOTION = "motion"
+
+
+class MotionCoordinator:
+    """Coordinator of the motions of arms that work side by side: it decides when an arm may start to
+    move, reserves zones and lets one arm yield to another.
+
+    Only one of the arms' programs runs at a time, so the state needs no locks.
+    """
+
+    def __init__(self, groups: tuple[str, ...], clearance: float, patience: float):
+        self.groups, self.clearance, self.patience = groups, clearance, patience
+        self.contexts: dict[str, ArmContext] = {}
+        self.running: dict[str, RunningMotion] = {}
+        self.waits: dict[
+            str, tuple[float, str]
+        ] = {}  # start of the wait [s], and its subject: MOTION or a zone
+        self.blockers: dict[str, tuple[str, ...]] = {}  # by arm that waits to move: the arms in its way
+        self.asked: dict[str, set[str]] = {group: set() for group in groups}  # to go home, by which arms
+        self.zones: dict[str, list[str]] = {}  # the holder, then the queue
+        self.waited: dict[str, float] = dict.fromkeys(groups, 0.0)  # [s] in total
+        self.yielded: dict[str, int] = dict.fromkeys(groups, 0)
+        self.searched: dict[str, int] = dict.fromkeys(groups, 0)  # motions found in space and time
+        self._arrived: dict[str, set[str]] = {}
+        self._heading: dict[str, str] = {}  # the zone that an arm approaches
+
+    def others(self, group: str) -> tuple[str, ...]:
+        return tuple(other for other in self.groups if other != group)
+
+    def _running_besides(self, group: str) -> dict[str, RunningMotion]:
+        return {other: self.running[other] for other in self.others(group)}
+
+    # --- motions ---
+    def request_start(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
+        """Wait until the coordinator allows an arm to start its motion, or a detour to the same goal.
+        Return the allowed motion.
+        """
+        me, straight = ctx.group, motion.planner == "cartesian"
+        began = ctx.driver.now
+        while not ctx.cancel.is_set():
+            found = self._try(ctx, motion.trajectory, straight, motion)
+            if found is not None:
+                self._stop_waiting(me)
+                return found
+            if ctx.driver.now - began > self.patience:
+                blockers = self.blockers.get(me, ())
+                self._stop_waiting(me)
+                return self._timed_out(ctx, motion, blockers)
+            self.waits.setdefault(me, (ctx.driver.now, MOTION))
+            self._resolve_wait(ctx)
+            ctx.advance(RETRY)
+            self.waited[me] += RETRY
+        self._stop_waiting(me)
+        return Outcome(ErrorCode.PREEMPTED, "cancelled")
+
+    def _stop_waiting(self, group: str) -> None:
+        self.waits.pop(group, None)
+        self.blockers.pop(group, None)
+        for askers in self.asked.values():
+            askers.discard(group)
+
+    def _try(self, ctx: ArmContext, wanted: JointTrajectory, straight: bool, motion: Motion):
+        now, scene, me = ctx.driver.now, ctx.whole_scene(), ctx.group
+        others = self._running_besides(me)
+        q = scene.state.reindexed(wanted.joint_names).positions
+        if np.max(np.abs(q - wanted.positions[0])) > AWAY:  # it yielded: return to the motion's start
+            if self._has_lower_priority(me):
+                return None
+            back = self._plan(ctx, scene, wanted.positions[0])
+            if back is None or not self.perform(ctx, back, f"{me} returns"):
+                return None
+            now, scene, others = ctx.driver.now, ctx.whole_scene(), self._running_besides(me)
+        if self._free(ctx, scene, wanted, others, now):
+            self.running[me] = RunningMotion(wanted, now)
+            return wanted
+        self.blockers[me] = self._in_the_way(ctx, scene, wanted, others, now)
+        if straight or self._has_lower_priority(me):
+            return None
+        if not ctx.driver.is_simulated and any(o.trajectory.duration > 0 for o in others.values()):
+            return None  # a detour in time relies on the timing of the other arms
+        found = self._plan(ctx, scene, wanted.positions[-1], motion)
+        if found is not None:
+            self.searched[me] += 1
+            self.running[me] = RunningMotion(found, now)
+        return found
+
+    def _free(
+        self, ctx: ArmContext, scene: PlanningScene, wanted: JointTrajectory,
+        others: Mapping[str, RunningMotion], now: float,
+    ) -> bool:  # fmt: skip
+        """Return whether the coordinator may start a motion of one arm while other arms are nearby, either
+        moving or at rest.
+
+        Simulated arms keep their timing and are certified with it. Real arms may be slowed by a slider or a
+        pause and move during this check, so each pair of them is certified for any timing.
+        """
+        if not ctx.driver.is_simulated:
+            pairs = [(InterArmChecker(scene, (ctx.group, name)), other) for name, other in others.items()]
+            return all(
+                arms.certify_any_time(wanted, other.trajectory, self._clearance_now(arms, scene))
+                for arms, other in pairs
+            )
+        arms = InterArmChecker(scene, (ctx.group, *others), ctx.group)
+        return arms.certify(
+            wanted, *(other.trajectory for other in others.values()),
+            starts=(now, *(other.start for other in others.values())),
+            clearance=self._clearance_now(arms, scene), begin=now,
+            until=max(now + wanted.duration, *(other.end for other in others.values())), evidence=False,
+        ).free  # fmt: skip
+
+    def _in_the_way(
+        self, ctx: ArmContext, scene: PlanningScene, wanted: JointTrajectory,
+        others: Mapping[str, RunningMotion], now: float,
+    ) -> tuple[str, ...]:  # fmt: skip
+        """Return the other coordinated arms whose motions or poses keep an arm from starting its motion."""
+        if len(others) == 1:
+            return tuple(others)
+        return tuple(n for n in others if not self._free(ctx, scene, wanted, {n: others[n]}, now))
+
+    def _clearance_now(self, arms: InterArmChecker, scene: PlanningScene) -> float:
+        """Return the clearance that the coordinator requires between the arms. If the arms are already
+        closer, return slightly less than their present distance.
+        """
+        q = scene.state.reindexed(arms.joint_names).positions
+        if arms.find_too_close(q[None], None, self.clearance) < 0:
+            return self.clearance
+        near = arms.contact(q)
+        return self.clearance if near is None else max(min(self.clearance, near.distance - 2e-3), 0.0)
+
+    def _plan(self, ctx: ArmContext, scene: PlanningScene, q, motion: Motion | None = None):
+        speed = ctx.settings.carry if ctx.holding else ctx.settings.free
+        names = scene.model.group(ctx.group).joint_names
+        request = PlanRequest(
+            ctx.group, (JointGoal(JointState(names, q)),), planner_id=ctx.settings.planner_id,
+            planning_time=ctx.settings.planning_time, velocity_scaling=speed.velocity,
+            acceleration_scaling=speed.acceleration, seed=ctx.seed,
+        )  # fmt: skip
+        others = self._running_besides(ctx.group)
+        result: PlanResult = plan_around_moving_arms(
+            scene, request, others, ctx.driver.now, self.clearance, ctx.cancel
+        )
+        found = result.trajectory if result.ok else None
+        if found is None or ctx.driver.is_simulated:
+            return found
+        return found if self._free(ctx, scene, found, others, ctx.driver.now) else None
+
+    def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
+        """Execute a motion that the coordinator has planned on its own: the arm moves out of the way of
+        another arm, or returns from there.
+        """
+        self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
+        ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
+        motion = ctx.gate.motion(trajectory, cancel=ctx.cancel)
+        done = execute(ctx.driver, motion, ctx.settings.execution, ctx.progress)
+        self.rest(ctx)
+        return done.ok
+
+    def rest(self, ctx: ArmContext) -> None:
+        """Record in the motion coordinator that an arm has come to rest."""
+        self.running[ctx.group] = RunningMotion.at_rest(ctx.whole_scene(), ctx.group, ctx.driver.now)
+
+    # --- waiting for each other ---
+    def _rests(self, ctx: ArmContext, group: str) -> bool:
+        running = self.running[group]
+        if ctx.driver.is_simulated:
+            return running.end <= ctx.driver.now
+        return running.trajectory.duration == 0.0  # a real arm rests when its driver reports it
+
+    def _has_lower_priority(self, me: str) -> bool:
+        """Return whether the coordinator gives another arm priority,
+        because that arm has waited longer for its motion and this arm is in its way.
+        """
+        mine = self.waits.get(me)
+        return mine is not None and any(
+            (self.waits[other][0], self.groups.index(other)) < (mine[0], self.groups.index(me))
+            for other in self.others(me)
+            if other in self.waits and self.waits[other][1] == MOTION and me in self.blockers.get(other, ())
+        )
+
+    def _resolve_wait(self, ctx: ArmContext) -> None:
+        """Resolve a deadlock of coordinated arms: yield to an arm that has priority,
+        or ask the arms in the way to yield if they are idle.
+        """
+        me = ctx.group
+        if self._has_lower_priority(me) or self.asked[me]:
+            self.yield_to_others(ctx)
+            return
+        for other in self.blockers.get(me, ()):
+            if other in self.waits and self._rests(ctx, other):
+                self.asked[other].add(me)
+
+    def yield_to_others(self, ctx: ArmContext) -> None:
+        """Make an arm yield to the other arms: the coordinator moves it to its home state, if possible.
+
+        An arm that is already there does not move.
+        """
+        self.asked[ctx.group].clear()
+        scene = ctx.whole_scene()
+        home = scene.model.named_state(ctx.group, HOME)
+        if np.max(np.abs(scene.state.reindexed(home.joint_names).positions - home.positions)) < AWAY:
+            return
+        names = scene.model.group(ctx.group).joint_names
+        motion = self._plan(ctx, scene, home.reindexed(names).positions)
+        if motion is not None:
+            ctx.emit("note", f"{ctx.group} yields")
+            self.yielded[ctx.group] += 1
+            self.perform(ctx, motion, f"{ctx.group} yields")
+
+    def _timed_out(self, ctx: ArmContext, motion: Motion, blockers: tuple[str, ...]) -> Outcome:
+        scene, others = ctx.whole_scene(), self._running_besides(ctx.group)
+        proof = InterArmChecker(scene, (ctx.group, *others), ctx.group).certify(
+            motion.trajectory, *(other.trajectory for other in others.values()),
+            starts=(ctx.driver.now, *(other.start for other in others.values())),
+            clearance=self.clearance, begin=ctx.driver.now,
+        )  # fmt: skip
+        pair = "" if proof.contact is None else f": {proof.contact.body_a} and {proof.contact.body_b}"
+        who = " and ".join(blockers or tuple(others))
+        text = f"{motion.name}: waited {self.patience:.0f} s for {who} to clear the path{pair}"
+        return Outcome(ErrorCode.TIMED_OUT, text, {"contact": proof.contact})
+
+    # --- zones and rendezvous ---
+    def choose(self, group: str, items: Sequence[str], zone: Callable[[str], str]) -> str:
+        """Return the first remaining item whose destination zone is free: no other coordinated arm uses the
+        zone, waits for it or is heading there.
+
+        If all zones are busy, return the first of all items. In both cases, the coordinator records that the
+        arm approaches the zone of the returned item.
+
+        Args:
+            items: the remaining items, not empty.
+            zone: the destination of each item.
+        """
+        others = self.others(group)
+        busy = {name for name, queue in self.zones.items() if any(other in queue for other in others)}
+        busy |= {self._heading.get(other) for other in others}
+        item = next((i for i in items if zone(i) not in busy), items[0])
+        self._heading[group] = zone(item)
+        return item
+
+    @contextmanager
+    def reserved(self, ctx: ArmContext, zone: str) -> Iterator[None]:
+        """Reserve a zone for one of the coordinated arms.
+        Arms receive the zone in the order of their requests.
+
+        Raises:
+            InputError: the arm already holds a zone (arms with a zone each could wait forever).
+        """
+        for name, queue in self.zones.items():
+            if queue and queue[0] == ctx.group:
+                raise InputError(
+                    f"{ctx.group} holds zone {name!r} and asks for {zone!r}", hint="leave it first"
+                )
+        queue = self.zones.setdefault(zone, [])
+        queue.append(ctx.group)
+        try:
+            while queue[0] != ctx.group and not ctx.cancel.is_set():
+                self.waits.setdefault(ctx.group, (ctx.driver.now, zone))
+                self._idle(ctx)
+                self.waited[ctx.group] += IDLE
+            self.waits.pop(ctx.group, None)
+            yield
+        finally:
+            queue.remove(ctx.group)
+            self._heading.pop(ctx.group, None)
+
+    def rendezvous(self, ctx: ArmContext, name: str) -> None:
+        """Pause the program of a coordinated arm until all other arms have reached the same rendezvous or
+        their programs have ended.
+        """
+        here = self._arrived.setdefault(name, set())
+        here.add(ctx.group)
+        while not ctx.cancel.is_set() and any(
+            other not in here and not self.contexts[other].ended for other in self.others(ctx.group)
+        ):
+            self.waits.setdefault(ctx.group, (ctx.driver.now, name))
+            self._idle(ctx)
+        self.waits.pop(ctx.group, None)
+
+    def park(self, ctx: ArmContext) -> None:
+        """Keep a coordinated arm at rest after the end of its program.
+        Until all other programs end, the arm yields if asked to.
+        """
+        ctx.ended = True
+        while not ctx.cancel.is_set() and not all(
+            self.contexts[other].ended for other in self.others(ctx.group)
+        ):
+            self.waits.setdefault(ctx.group, (ctx.driver.now, "the end"))
+            self._idle(ctx)
+
+    def _idle(self, ctx: ArmContext) -> None:
+        if self.asked[ctx.group]:
+            self.yield_to_others(ctx)
+        ctx.advance(IDLE)
+
+
+__all__ = ["MotionCoordinator"]

@@ -17,13 +17,13 @@ from armcell.grasping import HeapGrasp
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.context import StageReport, TaskContext
-from armcell.tasks.interfaces import holding_condition
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import APPROACH, approaches, finger_state
 from armcell.tasks.stages.moves import plan_straight, shifted, with_contacts
 from armcell.tasks.stages.place import DESCENT, descents
 from armcell.tasks.steps import DONE, CommandGripper, not_held, staged
+from armcell.tasks.task import holding_condition
 
 HEAP = "heap"
 """Name of the camera's points in the bin, in the planning scene."""

@@ -13,13 +13,13 @@ from armcell.core import SE3, ErrorCode, PlanResult
 from armcell.grasping import RELEASE_GAP, Grasp
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
-from armcell.tasks.interfaces import holding_condition
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import APPROACH, approaches
 from armcell.tasks.stages.moves import plan_straight, with_contacts, with_motion
 from armcell.tasks.stages.place import DESCENT, descents
 from armcell.tasks.steps import CheckStillHeld, ExpectContact
+from armcell.tasks.task import holding_condition
 
 UNDER = 0.006  # [m] bodies this close to a placement are its supports
 

@@ -24,7 +24,6 @@ from armcell.grasping import (
 from armcell.kinematics import POSE_JOINTS, free_axis_angles
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
-from armcell.tasks.interfaces import holding_condition
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import finger_state, reachable
@@ -38,6 +37,7 @@ from armcell.tasks.steps import (
     Step,
     WatchObject,
 )
+from armcell.tasks.task import holding_condition
 from armcell.timing import reverse_trajectory
 
 UP = (0.0, 0.0, 1.0)

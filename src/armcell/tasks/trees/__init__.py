@@ -10,15 +10,20 @@ try:
 except ImportError:
     raise MissingExtraError("py_trees", "trees") from None
 
-from armcell.tasks.trees.nodes import Act, Check, as_dot, drawn, reasons, run
-from armcell.tasks.trees.recipes import (
+from armcell.tasks.trees.nodes import (
+    Act,
+    Check,
+    as_dot,
+    drawn,
     held_node,
     looking,
     moving_to,
     performing,
     picking,
     placing,
+    reasons,
     rests_on,
+    run,
     transferring,
 )
 

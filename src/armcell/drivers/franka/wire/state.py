@@ -1,7 +1,8 @@
-"""UDP messages of the Franka Control Interface, versions 5 and 10: robot state and motion command.
+"""UDP messages of the Franka Control Interface: robot state, motion command, names of errors and reflexes.
 
-The robot sends a state every millisecond. The state's numbers are float64 in version 5 and float32 in version
-10, the command's float64; matrices are column-major. Source: see `commands`.
+Versions 5 and 10. The robot sends a state every millisecond. The state's numbers are float64 in version 5
+and float32 in version 10, the command's float64; matrices are column-major. Errors are in the order of the
+state message's flags. Source: Franka's public headers `libfranka-common` (Apache-2.0); see `commands`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,52 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.drivers.franka.wire.commands import WireError
-from armcell.drivers.franka.wire.errors import ERRORS
+
+ERRORS = (
+    "joint_position_limits_violation",
+    "cartesian_position_limits_violation",
+    "self_collision_avoidance_violation",
+    "joint_velocity_violation",
+    "cartesian_velocity_violation",
+    "force_control_safety_violation",
+    "joint_reflex",
+    "cartesian_reflex",
+    "max_goal_pose_deviation_violation",
+    "max_path_pose_deviation_violation",
+    "cartesian_velocity_profile_safety_violation",
+    "joint_position_motion_generator_start_pose_invalid",
+    "joint_motion_generator_position_limits_violation",
+    "joint_motion_generator_velocity_limits_violation",
+    "joint_motion_generator_velocity_discontinuity",
+    "joint_motion_generator_acceleration_discontinuity",
+    "cartesian_position_motion_generator_start_pose_invalid",
+    "cartesian_motion_generator_elbow_limit_violation",
+    "cartesian_motion_generator_velocity_limits_violation",
+    "cartesian_motion_generator_velocity_discontinuity",
+    "cartesian_motion_generator_acceleration_discontinuity",
+    "cartesian_motion_generator_elbow_sign_inconsistent",
+    "cartesian_motion_generator_start_elbow_invalid",
+    "force_controller_desired_force_tolerance_violation",
+    "start_elbow_sign_inconsistent",
+    "communication_constraints_violation",
+    "power_limit_violation",
+    "cartesian_motion_generator_joint_position_limits_violation",
+    "cartesian_motion_generator_joint_velocity_limits_violation",
+    "cartesian_motion_generator_joint_velocity_discontinuity",
+    "cartesian_motion_generator_joint_acceleration_discontinuity",
+    "cartesian_position_motion_generator_invalid_frame_flag",
+    "controller_torque_discontinuity",
+    "joint_p2p_insufficient_torque_for_planning",
+    "tau_J_range_violation",
+    "instability_detected",
+    "joint_move_in_wrong_direction",
+    "cartesian_spline_motion_generator_violation",
+    "joint_via_motion_generator_planning_joint_limit_violation",
+    "base_acceleration_initialization_timeout",
+    "base_acceleration_invalid_reading",
+)
+INDEX = {error: i for i, error in enumerate(ERRORS)}
+
 
 _FIELDS = (
     ("O_T_EE", 16), ("O_T_EE_d", 16), ("F_T_EE", 16), ("EE_T_K", 16), ("F_T_NE", 16), ("NE_T_EE", 16),

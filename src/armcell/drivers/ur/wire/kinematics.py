@@ -1,4 +1,9 @@
-"""Forward and inverse kinematics of a UR arm from DH parameters, in the controller's base."""
+"""Kinematics and rigid-body dynamics of a UR arm: forward, inverse, Jacobian, mass matrix, Coriolis.
+
+Kinematics use DH parameters and the controller's base.
+
+Links are point masses at their published centers of mass, with a rotor inertia per joint.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, SO3
+from armcell.drivers.ur.wire.models import UrModel
 from armcell.drivers.ur.wire.primary import Kinematics
 
-Array = NDArray[np.float64]
+F64 = NDArray[np.float64]
 
 
-def frames_of(dh: Kinematics, q: ArrayLike) -> Array:
+def frames_of(dh: Kinematics, q: ArrayLike) -> F64:
     """Return T_base_i (7, 4, 4) of the base and the six DH frames in the kinematics of a UR arm.
     The array is read-only.
     """
@@ -23,7 +29,7 @@ def frames_of(dh: Kinematics, q: ArrayLike) -> Array:
 
 # A controller computes about ten outputs from the same positions in each control step.
 @lru_cache(maxsize=64)
-def _frames_of(dh: Kinematics, q: bytes) -> Array:
+def _frames_of(dh: Kinematics, q: bytes) -> F64:
     angle = np.frombuffer(q) + dh.theta
     c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(dh.alpha), np.sin(dh.alpha)
     steps = np.zeros((6, 4, 4))
@@ -39,7 +45,7 @@ def _frames_of(dh: Kinematics, q: bytes) -> Array:
     return frames
 
 
-def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> Array:
+def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> F64:
     """Return the Jacobian (6, 6) in the kinematics of a UR arm, for the flange or for a point fixed to it.
 
     The base frame is the reference.
@@ -57,7 +63,7 @@ def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> Arra
     return J
 
 
-def cross(a: Iterable[float], b: Iterable[float]) -> Array:
+def cross(a: Iterable[float], b: Iterable[float]) -> F64:
     """Return the cross product of two vectors (3,) for the kinematics of UR arms,
     ten times faster than `numpy.cross`.
     """
@@ -65,14 +71,14 @@ def cross(a: Iterable[float], b: Iterable[float]) -> Array:
     return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
 
-def pose_of(T: Array) -> list[float]:
+def pose_of(T: F64) -> list[float]:
     """Convert a transform (4, 4) in the kinematics of a UR arm to a UR pose:
     x, y, z [m] and rotation vector [rad].
     """
     return [*T[:3, 3].tolist(), *SO3(T[:3, :3]).log().tolist()]
 
 
-def matrix_of(pose: ArrayLike) -> Array:
+def matrix_of(pose: ArrayLike) -> F64:
     """Convert a UR pose (x, y, z [m], rotation vector [rad]) to a transform (4, 4),
     for the kinematics of a UR arm.
     """
@@ -80,12 +86,12 @@ def matrix_of(pose: ArrayLike) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _matrix_of(pose: bytes) -> Array:
+def _matrix_of(pose: bytes) -> F64:
     values = np.frombuffer(pose)
     return SE3(SO3.exp(values[3:6]), values[:3]).matrix
 
 
-def forward(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> Array:
+def forward(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> F64:
     """Return T_base_tcp (4, 4) by the forward kinematics of a UR arm,
     with the TCP given in the flange frame.
     """
@@ -93,12 +99,12 @@ def forward(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _forward(dh: Kinematics, q: bytes, tcp: bytes) -> Array:
+def _forward(dh: Kinematics, q: bytes, tcp: bytes) -> F64:
     return _frames_of(dh, q)[6] @ _matrix_of(tcp)
 
 
-def inverse(dh: Kinematics, T_base_tcp: Array, q_near: ArrayLike, tcp: ArrayLike,
-            iterations: int = 50, tolerance: float = 1e-7) -> Array | None:  # fmt: skip
+def inverse(dh: Kinematics, T_base_tcp: F64, q_near: ArrayLike, tcp: ArrayLike,
+            iterations: int = 50, tolerance: float = 1e-7) -> F64 | None:  # fmt: skip
     """Solve the inverse kinematics of a UR arm by damped Newton steps,
     and return the joint positions (6,) [rad].
 
@@ -128,7 +134,67 @@ def inverse(dh: Kinematics, T_base_tcp: Array, q_near: ArrayLike, tcp: ArrayLike
     return None
 
 
-def _rotation(R: Array) -> Array:
+def _rotation(R: F64) -> F64:
     T = np.eye(4)
     T[:3, :3] = R
     return T
+
+
+ROTOR = 0.1  # [kg m^2] approximate inertia of motor and gear, at the gear's output
+STEP = 1e-6  # [s] step of the finite differences in time
+
+
+class ArmDynamics:
+    """Rigid-body dynamics of one UR arm with its payload.
+
+    Args:
+        payload: mass [kg] at the flange.
+        cog: center of mass of the payload [m, flange frame].
+    """
+
+    def __init__(self, model: UrModel, dh: Kinematics, payload: float = 0.0, cog: ArrayLike = (0.0,) * 3):
+        self._dh = dh
+        self._masses = np.append(model.link_masses, payload)
+        self._centers = np.vstack((model.link_centers, np.asarray(cog, dtype=float)))
+
+    def _jacobians(self, q: F64) -> F64:
+        """Return the Jacobians (7, 3, 6) of the link masses and the payload in the base frame,
+        for the dynamics of a UR arm.
+        """
+        frames = frames_of(self._dh, q)
+        axes, origins = frames[:6, :3, 2], frames[:6, :3, 3]
+        links = np.vstack((frames[1:], frames[6:]))  # frame i moves with link i, the payload with link 6
+        centers = np.einsum("nij,nj->ni", links[:, :3, :3], self._centers) + links[:, :3, 3]
+        J: F64 = np.asarray(np.cross(axes[None], centers[:, None] - origins[None]), dtype=float)  # (7, 6, 3)
+        moved_by = np.tril(np.ones((6, 6)))
+        return (J * np.vstack((moved_by, np.ones(6)))[:, :, None]).transpose(0, 2, 1)
+
+    def mass_matrix(self, q: ArrayLike) -> F64:
+        """Return the mass matrix (6, 6) [kg m^2] in the dynamics of a
+        UR arm at joint positions q (6,) [rad].
+        """
+        J = self._jacobians(np.asarray(q, dtype=float))
+        return np.einsum("n,nki,nkj->ij", self._masses, J, J) + ROTOR * np.eye(6)
+
+    def velocity_torques(self, q: ArrayLike, v: ArrayLike) -> F64:
+        """Return the Coriolis and centrifugal torques (6,) [Nm] in the dynamics of a UR arm.
+
+        The sum of m J^T (dJ/dt) v over the point masses, at positions q (6,) [rad] and speeds v (6,) [rad/s].
+        """
+        q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
+        J = self._jacobians(q)
+        rate = (self._jacobians(q + v * STEP) - J) / STEP
+        return np.einsum("n,nki,nk->i", self._masses, J, rate @ v)
+
+
+def tool_jacobian(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> F64:
+    """Return the geometric Jacobian (6, 6) of the TCP in the base frame, for the dynamics of a UR arm."""
+    return jacobian(dh, q, forward(dh, q, tcp)[:3, 3])
+
+
+def jacobian_rate(dh: Kinematics, q: ArrayLike, v: ArrayLike, tcp: ArrayLike) -> F64:
+    """Return the rate of change (6, 6) of the TCP Jacobian for the
+    dynamics of a UR arm at joint speeds v (6,) [rad/s].
+    """
+    q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
+    return (tool_jacobian(dh, q + v * STEP, tcp) - tool_jacobian(dh, q - v * STEP, tcp)) / (2.0 * STEP)

@@ -15,11 +15,10 @@ from armcell.moveit.commander_calls import (
     send,
     wait_for_result,
 )
-from armcell.moveit.missing_imports import METHODS
+from armcell.moveit.script_hints import METHODS, closed_on_nothing, unreached_pose
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
 from armcell.moveit.shims.moveit_commander.group_info import POSE, TIMING, kind_of
 from armcell.moveit.shims.moveit_commander.group_settings import GroupSettings
-from armcell.moveit.target_hints import closed_on_nothing, unreached_pose
 from armcell.ros.moveit_convert import robot_state_from_message, robot_trajectory_message
 from armcell.ros.moveit_convert.objects import REMOVE
 from armcell.scene import WORLD

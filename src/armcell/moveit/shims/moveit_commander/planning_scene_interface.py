@@ -11,8 +11,7 @@ from armcell.moveit.session import current_session
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
 from armcell.ros.bus import ServiceError
 from armcell.ros.moveit_convert import Components
-from armcell.ros.moveit_convert.objects import REMOVE
-from armcell.ros.moveit_convert.shapes import ShapeMessages, primitive_type
+from armcell.ros.moveit_convert.objects import REMOVE, ShapeMessages, primitive_type
 
 GEOMETRY = Components.WORLD_OBJECT_NAMES | Components.WORLD_OBJECT_GEOMETRY
 ATTACHED = Components.ROBOT_STATE_ATTACHED_OBJECTS

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from armcell.core import InputError
-from armcell.moveit.missing_imports import CLASSES
+from armcell.moveit.script_hints import CLASSES
 from armcell.moveit.session import CHECK, current_session
 from armcell.ros.nodes import ServedPlanner
 

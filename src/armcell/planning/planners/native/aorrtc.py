@@ -21,8 +21,8 @@ from numba import njit
 
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.block import ints
-from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import edge_free
+from armcell.collision.kernel.pack import DOF
 from armcell.collision.kernel.simd import pointer
 from armcell.planning.planners.native.nearest_neighbors import nearest_node
 from armcell.planning.planners.native.rrt_connect import FROM, ITERATIONS, NODES, TO

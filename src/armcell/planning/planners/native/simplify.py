@@ -13,8 +13,8 @@ from numba import njit
 
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.block import FIRST, ints
-from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import FINEST, PROVEN, deviation_margins, prove
+from armcell.collision.kernel.pack import DOF
 from armcell.collision.kernel.simd import pointer
 
 COARSE = 1e-3
