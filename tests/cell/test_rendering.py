@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from armcell.cell import live_cameras, load, pictures, rendering
+from armcell.cell import live_cameras, load, pictures
 from armcell.cli.run_record import camera_frames
 from armcell.core import SE3, ArmcellError, Event
 from armcell.perception import MapSettings
@@ -292,8 +292,8 @@ def test_the_newest_state_is_drawn_and_cameras_take_turns(cell, monkeypatch):
         kill = close
 
     go, done = [], []
-    monkeypatch.setattr(rendering, "RenderProcess", Process)
-    monkeypatch.setattr(rendering, "GIVES_UP_AFTER", 99)
+    monkeypatch.setattr(live_cameras, "RenderProcess", Process)
+    monkeypatch.setattr(live_cameras, "GIVES_UP_AFTER", 99)
     with cell.connect(time_scale=100.0) as live:
         top, hand = live.camera("top"), live.camera("hand")
 
