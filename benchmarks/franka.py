@@ -313,8 +313,9 @@ with suppress(PermissionError):
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(11))
 robot = Robot(host, RealtimeConfig.kIgnore)
 robot.set_collision_behavior([20.0] * 7, [40.0] * 7, [20.0] * 6, [40.0] * 6)
-rates, aborted = [], []
-while len(rates) < count:
+rates, n, aborted = np.zeros(count + 10_000), 0, []
+while n < count:
+    control = None  # ends an aborted motion's control
     try:
         control = robot.start_joint_position_control(ControllerMode.JointImpedance)
         t, first, moved = 0.0, None, np.array([0, 0, 0, 1, 1, 0, 1])
@@ -322,11 +323,12 @@ while len(rates) < count:
             state, step = control.readOnce()
             t += step.to_sec()
             first = first or state
-            rates.append(state.control_command_success_rate)
-            if len(rates) % 60000 == 0:
-                done = np.array(rates[100:])
-                print(f"{len(rates)} cycles: median {np.median(done):.4f}", file=sys.stderr, flush=True)
-            ending = len(rates) >= count and abs(t % 5.0) < 0.0015
+            rates[n] = state.control_command_success_rate
+            n += 1
+            if n % 60000 == 0:  # a longer look would be late for the robot
+                done = rates[n - 1000 : n].mean()
+                print(f"{n} cycles: mean of the last 1000 {done:.4f}", file=sys.stderr, flush=True)
+            ending = n >= count and abs(t % 5.0) < 0.0015
             d = np.pi / 16 * (1 - np.cos(np.pi / 2.5 * t))
             command = JointPositions(list(np.array(first.q_d) + d * moved))
             command.motion_finished = ending
@@ -336,8 +338,8 @@ while len(rates) < count:
     except Exception as error:
         aborted.append(str(error).splitlines()[0])
         robot.automatic_error_recovery()
-rates = np.array(rates)
-print(json.dumps({"cycles": len(rates), "median": float(np.median(rates)), "mean": float(rates.mean()),
+rates = rates[:n]
+print(json.dumps({"cycles": n, "median": float(np.median(rates)), "mean": float(rates.mean()),
     "p1": float(np.percentile(rates, 1)), "below 0.99": float((rates < 0.99).mean()), "aborted": aborted}))
 """
 
