@@ -81,7 +81,9 @@ class ObjectResult:
 
 # --- objects ---
 def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
-    """Yield the objects of the object library for the grasp benchmark, each as name, object and scale 1."""
+    """Yield (name, object, scale) for each object of the object library, for the grasp benchmark. The scale
+    is always 1.
+    """
     for kind in object_names():
         yield kind, library_object(kind), 1.0
 

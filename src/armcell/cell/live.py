@@ -449,8 +449,8 @@ class LiveCell:
         self, bin: str, into: str, table: str, camera: str, tray_camera: str,
         settings: BinClearingSettings = BinClearingSettings(),
     ) -> Outcome:  # fmt: skip
-        """Clear a bin in a live cell: move all objects into another container. Only two cameras locate the
-        objects.
+        """Clear a bin in a live cell: move all objects into another container. The poses of the objects come
+        only from two cameras, one per container.
 
         Args:
             into: the container for the objects.

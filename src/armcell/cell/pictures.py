@@ -147,7 +147,7 @@ def _view(alone: RobotModel, hand: Hand, width: float, points: Array, title: str
     draw, length = ImageDraw.Draw(image), 0.2 * float(np.ptp(points, axis=0).max())
 
     def pixels(at: Array) -> list[Point]:
-        """Return the pixels of points (n, 3) [m, tcp frame]."""
+        """Project points (n, 3) [m, tcp frame] into the picture of a gripper; return their pixels (u, v)."""
         there = camera.T_world_camera.inverse().apply(T_world_tcp.apply(np.atleast_2d(at)))
         return [(float(u), float(v)) for u, v in camera.model.project(there)]
 

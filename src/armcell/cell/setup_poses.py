@@ -163,8 +163,8 @@ def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> 
 
 
 class _Judge:
-    """Evaluator for candidates of named poses.
-    It checks that they are collision-free and measures the distance between links.
+    """Evaluator for joint positions that may become a named pose of a robot. It checks whether they are
+    collision-free and measures the distance between the closest links.
     """
 
     def __init__(self, model: RobotModel, samples: Array):

@@ -59,8 +59,8 @@ PICK = """  - pick: cube
 
 
 def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> Iterator[str]:
-    """Yield candidate cell files for a new robot (starter cells), in the order in which to try them.
-    The robot starts without collision, preferably in the named state "home".
+    """Yield the texts of starter cell files for a new robot, in the order in which to try them. The robot's
+    start state is collision-free, and is the named state "home" if possible.
 
     A robot with a gripper gets a cube to pick; other robots move between their named states. The positions of
     the cube differ from file to file; `armcell check` tells whether the robot reaches it.

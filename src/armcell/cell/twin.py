@@ -124,8 +124,8 @@ def _wander(
 
 
 class _NotFree(InputError):
-    """Error while learning how far real arms deviate from the twin: no motion can be planned,
-    or the simulated twin rejects it.
+    """Error for a motion that cannot be planned or that the simulated twin rejects, raised while armcell
+    learns how far a real arm deviates from its twin.
     """
 
 

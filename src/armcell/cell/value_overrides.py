@@ -55,7 +55,8 @@ def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
 
 
 def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
-    """Return the cell values (by path) that select the joint gains of a gain set or gain file.
+    """Return the values of the cell file's physics block that set the joint gains, by path (such as
+    `physics.joint_gains`). The gains come from a named gain set or a gain file.
 
     The values contain the gains themselves, so a record of the run does not depend on the file.
 

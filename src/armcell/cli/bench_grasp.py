@@ -47,8 +47,8 @@ def grasp(
         None, "--json", metavar="OUT", help="A summary and a row per object."
     ),
 ) -> int:
-    """Benchmark grasps by friction only: pick objects, lift them by 20 cm,
-    hold them for 5 s and place them within 1 cm.
+    """Benchmark picks in which only friction holds the object: grasp each object, lift it by 20 cm, hold it
+    for 5 s and place it within 1 cm of its goal.
 
     Each object starts at rest on a table. An object from a file is scaled down if its narrowest side takes
     more than 75 % of the gripper's opening; objects that still cannot be gripped are counted separately.

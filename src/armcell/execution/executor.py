@@ -152,9 +152,7 @@ class _Execution:
         self.tracking = 0.0  # [rad or m] largest tracking error so far
 
     def run(self, make_source: Source) -> ExecutionSteps:
-        """Run the execution of a motion as a generator, which yields once per driver period
-        (`ExecutionSteps`).
-        """
+        """Execute a motion as a generator (`ExecutionSteps`) that yields once per driver period."""
         measured = self.driver.joint_state().reindexed(self.names)
         if len(self.trajectory.times) == 0:
             self.driver.stop()  # ROS: an empty trajectory means stop

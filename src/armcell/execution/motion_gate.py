@@ -179,8 +179,8 @@ class Executable(threading.Event, ABC):
 
 
 def executable(motion: object) -> Executable:
-    """Return `motion` unchanged if the executor may execute it, otherwise raise an error. The motion must be
-    checked by a gate or declared ungated.
+    """Return `motion` unchanged if the executor accepts it: a `GuardedMotion` from a motion gate, or an
+    `UngatedMotion`. Otherwise raise an error.
 
     Raises:
         InputError: `motion` is a bare trajectory that no gate has checked.

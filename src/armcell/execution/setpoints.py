@@ -64,8 +64,8 @@ class SetpointSource(ABC):
 
     @abstractmethod
     def tracking_error(self) -> tuple[float, int] | None:
-        """Return the largest deviation [rad or m] of a joint from its setpoint, and the column of this joint.
-        Return None while only the goal tolerance applies.
+        """Return the largest deviation [rad or m] of a joint from its setpoint, and the index of the joint.
+        Return None when only the goal tolerance applies, such as after the last setpoint.
         """
 
     def ended(self) -> Outcome | None:

@@ -177,8 +177,8 @@ def _cup_hits(origins, dx, dy, dz, radius, triangles, middles, reaches, found):
 def evaluate_suction_grasps(
     item: CollisionObject, hand: Hand, seals: SuctionCandidates, up: Array
 ) -> tuple[list[Grasp], list[Rejection]]:
-    """Check suction grasps for seal and holding force. Return those that can carry the object, best first,
-    and the rejected ones with reasons.
+    """Check suction grasps for seal and holding force. Return the grasps that can carry the object, best
+    first, and the rejected grasps with the reasons for rejection.
     """
     gripper = hand.gripper
     assert isinstance(gripper, SuctionGripper)

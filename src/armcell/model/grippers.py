@@ -90,7 +90,8 @@ class Gripper:
 
     @cached_property
     def _table(self) -> Array:
-        """Return a gripper's tabulated `curve` as an array (4, k), with one column per joint position.
+        """Return the table `curve`, which maps a gripper's joint position to its width and grip center, as an
+        array (4, k) with one column per joint position.
 
         The rows are the joint position, the width [m], and y and z of the grip center in the tcp frame [m].
         """

@@ -53,7 +53,7 @@ def wait_for_result(session: Session, sent: ClientGoalHandle) -> Any:
 
 
 def joint_constraints(session: Session, values: dict[str, float], tolerance: float) -> Any:
-    """Return the goal constraints for given joint positions, as a call of moveit_commander sends them.
+    """Return the goal constraints that a moveit_commander call sends for given joint positions.
 
     Args:
         values: joint name -> position [rad or m].
@@ -69,7 +69,7 @@ def joint_constraints(session: Session, values: dict[str, float], tolerance: flo
 def pose_constraints(
     session: Session, link: str, target: Any, position: float | None, orientation: float | None
 ) -> Any:
-    """Return the goal constraints for the pose of a link, as a call of moveit_commander sends them.
+    """Return the goal constraints that a moveit_commander call sends for the pose of a link.
 
     Args:
         target: a PoseStamped.

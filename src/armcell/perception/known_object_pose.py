@@ -56,7 +56,7 @@ def cube_turns() -> tuple[SO3, ...]:
 def rough_match(
     evidence: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], stands: bool = True
 ) -> Match | None:
-    """Estimate a rough pose of a known object from a subset of the camera evidence.
+    """Estimate a rough pose of a known object quickly, from only some of the measured points and camera rays.
 
     The result is None if the object's size does not match.
 

@@ -182,8 +182,8 @@ def _point_residuals(points, R, t, solid):
 
 @njit(cache=True)
 def _depth_of_ray(solid, R, t, eye, ray, free_to, reach, convex):
-    """Return how deep [m] the free part of a camera ray penetrates a fitted solid.
-    It is 0 if the ray passes beside the solid.
+    """Return how deep [m] a camera ray penetrates a fitted solid within the distance that the camera measured
+    as free. The depth is 0 if the ray passes beside the solid.
 
     The distance to a convex solid is convex along a line, so golden section finds its minimum.
     """

@@ -96,7 +96,7 @@ class Record:
         return self.states[-1].time - self.states[0].time if self.states else 0.0
 
     def index_at(self, time: float) -> int:
-        """Return the index of the last state at or before a given time [s] in a record that was read."""
+        """Return the index of the last recorded state of a run at or before a given time [s]."""
         return max(bisect.bisect_right(self.states, round(time * NANO), key=lambda s: s.nanoseconds) - 1, 0)
 
 

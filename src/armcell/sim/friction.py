@@ -188,7 +188,8 @@ class HeldObjectCorrection:
 
 
 def lag(settings: PhysicsSettings) -> float:
-    """Return the factor from which the lag of a held object behind the moving hand is computed.
+    """Return the ratio of a held object's lag behind the moving hand to the distance between the hand's arc
+    and its tangent, in one physics step.
 
     The lag per physics step dt is this factor times dt^2/2 dJ/dt v, the distance between the hand's arc and
     its tangent. J is the Jacobian of the contact, and v are the generalized velocities. The factor is 0 for

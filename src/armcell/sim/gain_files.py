@@ -325,7 +325,8 @@ def gain_values(gains: str | Path, model: RobotModel, folder: Path = Path()) -> 
 def with_gains(
     settings: PhysicsSettings, gains: str | Path, model: RobotModel, folder: Path = Path()
 ) -> PhysicsSettings:
-    """Return physics settings with the arm control and the joint gains of a gain set or gain file.
+    """Return a copy of physics settings in which a named gain set or a gain file replaces the arm control and
+    the joint gains.
 
     See `gain_values`. The result does not keep any `joint_gains` of `settings`.
     """

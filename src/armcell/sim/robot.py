@@ -27,7 +27,9 @@ from armcell.sim.shapes import (
 
 
 def mjcf_links(model: RobotModel) -> dict[str, MjcfPart]:
-    """Return the MJCF part that contains each robot link, by link name. Other links have no entry."""
+    """Return the MJCF part of each robot link that an MJCF file describes, by link name. Links without an
+    MJCF file have no entry.
+    """
     return {link: part for part in model.mjcf for link in part.links if link in model.links}
 
 

@@ -49,7 +49,9 @@ class PipelineSettings:
 
 
 def picking(item: str, gripper: Gripper) -> PipelinedTask:
-    """Create a pipelined task that picks an object, with one attempt."""
+    """Create a task that picks an object and can be planned while another task runs (`PipelinedTask`). The
+    task makes only one attempt.
+    """
     return PipelinedTask(f"pick {item}", lambda ctx, scene: pick_stages(scene, item, gripper, ctx.settings))
 
 

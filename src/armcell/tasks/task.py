@@ -26,7 +26,7 @@ from armcell.tasks.steps import DONE
 
 
 def holding_condition(item: str) -> str:
-    """Return the name with which stages declare the condition "a hand holds the object".
+    """Return the name of the condition "a hand holds the object".
 
     Stages list this name in `requires`, `provides` or `consumes`.
     """

@@ -146,8 +146,8 @@ def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
 
 @njit(cache=True)
 def _difference(now, then, shift, factor):
-    """Replace each now[i] with the difference (now[i] - then[i - shift]) * `factor`,
-    which yields the samples of a moving average.
+    """Compute the samples of a moving average in place: replace each now[i] with (now[i] - then[i - shift]) *
+    `factor`.
 
     `then` is zero before its first row and may be the same array as `now`.
     """

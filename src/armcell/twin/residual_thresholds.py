@@ -103,8 +103,8 @@ class ArmResidualThresholds:
     def residuals(
         self, seen: TwinSample, twin: DryRun, columns: Sequence[int], currents: deque[Array]
     ) -> dict[str, Array]:
-        """Return the residuals between an arm and its simulated twin by kind, as multiples of the thresholds
-        (bands): a value above 1 is a violation.
+        """Return the residuals between an arm and its simulated twin, by kind such as "position". Each
+        residual is divided by its threshold: a value above 1 is a violation.
 
         `timing` and `load` have shape (1,); a negative load means that the arm carries less than the model
         says.

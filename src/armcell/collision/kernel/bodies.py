@@ -117,8 +117,8 @@ def held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> Body:
 
 
 def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> Body:
-    """Return a kernel body (sphere cover and convex pieces) for shapes of the robot with given poses and
-    allowed overshoots [m].
+    """Return the kernel body (sphere cover and convex pieces) of a robot body. Each of its shapes has a pose
+    and an overshoot: how far [m] a sphere may extend beyond the shape.
 
     The result is cached on disk, so that later starts need no mesh library.
     """

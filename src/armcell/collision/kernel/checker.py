@@ -107,8 +107,8 @@ class KernelChecker:
         self._take_hold()
 
     def with_clearance_between(self, sides: Mapping[str, int], distance: float) -> KernelChecker:
-        """Return a copy of the kernel checker that also keeps bodies of
-        different sides (such as two arms) a clearance [m] apart.
+        """Return a copy of the kernel checker that also requires a clearance [m] between bodies of different
+        sides, such as the links of two arms.
 
         Args:
             sides: side of each body (link or attached object) by name; bodies without a side have no

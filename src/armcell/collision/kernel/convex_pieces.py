@@ -24,8 +24,8 @@ Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 
 @dataclass(frozen=True, eq=False)
 class HullVertices:
-    """Vertices of the convex pieces that represent a body exactly:
-    vertices per piece (e,), and all vertices (n, 3).
+    """Vertices of the convex pieces that represent a body exactly: the number of vertices of each piece (e,),
+    and the vertices of all pieces (n, 3).
     """
 
     count: I32

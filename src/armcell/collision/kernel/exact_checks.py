@@ -231,8 +231,8 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
 
 @inner_njit
 def _directed_need(I, D, w, s, body, a, lane):
-    """Return the distance that a convex piece must exceed along a given normal to pass an exact check, in one
-    SIMD lane.
+    """Return the clearance that a convex piece needs along a given normal to pass an exact collision check,
+    in one SIMD lane.
 
     The normal is in s[NORMAL:]. Along a fixed direction n, the nearest point of piece a approaches by |n .
     velocity| times half the interval. The velocity is that of the piece's center plus the contribution of its

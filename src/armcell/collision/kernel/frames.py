@@ -77,8 +77,8 @@ def workspace(flat: Flat) -> Workspace:
 
 @inner_njit(forceinline=True)
 def rate_at(I, j):
-    """Return the index in the workspace array `w` at which the kernel stores how far a joint moves along the
-    current edge of the motion.
+    """Return the index in the kernel's workspace array `w` of a joint's travel along the current edge of the
+    motion.
     """
     return (I[DOF] + j) * L
 

@@ -352,7 +352,9 @@ class _Builder:
         return reach * (1 + 1e-6)
 
     def _span(self, frame: int) -> float:
-        """Return the largest absolute position within the limits of the joint that moves a kernel frame."""
+        """Return the largest absolute position [rad or m] that the limits allow for the joint that moves a
+        given link frame of the collision kernel.
+        """
         limits = self.model.joints[self.joint_names[self.column[frame]]].limits
         return max(abs(limits.lower), abs(limits.upper))
 

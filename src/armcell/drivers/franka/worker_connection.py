@@ -95,8 +95,8 @@ class WorkerConnection:
             )
 
     def close(self) -> None:
-        """Close the link to the worker of a Franka arm and end the worker process,
-        which stops a moving arm.
+        """Close the link to the worker process of a Franka arm, and end the process. If the arm is moving, it
+        stops.
         """
         process, self._process = self._process, None
         if process is None or self._socket is None:

@@ -33,7 +33,8 @@ class BackendLibrary(NamedTuple):
 
 
 class RobotKind(ABC, Generic[A, I]):
-    """Interface of a robot kind, which a vendor implements for mode `real`, the bring-up and the twin.
+    """Interface to one kind of real robot, such as UR or Franka. A vendor implements it for execution in mode
+    `real`, bring-up and comparison with the simulated twin.
 
     Attributes:
         arm_settings: model of an arm's block in the cell file.
@@ -129,8 +130,8 @@ class RobotKind(ABC, Generic[A, I]):
     # --- bring-up ---
     @abstractmethod
     def measure_network(self, arm: A) -> NetworkReport:
-        """Measure round trips and state intervals on the connection to an arm of a robot kind.
-        The robot does not move.
+        """Measure the round-trip times and the intervals between state messages on the connection to a real
+        arm. The robot does not move.
         """
 
     @abstractmethod

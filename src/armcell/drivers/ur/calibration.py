@@ -82,8 +82,8 @@ def calibrated_model(model: RobotModel, group: str, nominal: Kinematics, own: Ki
 
 
 def _behind_joint(dh: Kinematics, i: int) -> SE3:
-    """Return the transform K_i, for calibrating a UR arm,
-    from the rotated frame of joint i to the next DH frame.
+    """Return the transform K_i of a UR arm's calibration: from the frame of joint i, after its rotation, to
+    the next DH frame.
     """
     turned = SE3(SO3.exp((0.0, 0.0, dh.theta[i])), np.array([0.0, 0.0, dh.d[i]]))
     return turned @ SE3(SO3.exp((dh.alpha[i], 0.0, 0.0)), np.array([dh.a[i], 0.0, 0.0]))

@@ -30,7 +30,9 @@ class StateWriter:
             m["I_ee"] = np.diag(motion_limits.HAND_INERTIA).ravel()
 
     def write(self) -> bytes:
-        """Write the state of the emulated Franka arm, and return the message for the current millisecond."""
+        """Copy the state of the emulated Franka arm into the state message, and return the bytes of the
+        message for the current 1 ms cycle.
+        """
         r, m = self._robot, self._message
         reference, motion = r.reference, r.motion
         cartesian = motion is not None and motion.generator.cartesian

@@ -316,7 +316,7 @@ class Robot:
             motion.answer(status)
 
     def stop(self) -> StopStatus:
-        """Stop the motion of the emulated Franka robot, as the client's command Stop requests."""
+        """Stop the motion of the emulated Franka robot in response to a client's Stop command."""
         if self.motion is not None:
             if self.motion.by_torque:
                 self._follow()

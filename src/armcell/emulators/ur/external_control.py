@@ -55,8 +55,8 @@ class ExternalControl:
         self._size, self._since = 0, 0.0
 
     def load(self, name: str) -> bool:
-        """Load the External Control program, if `name` is that program.
-        Return False if not, or if there is no remote host.
+        """Load the External Control program. Return False if `name` is another program or if the remote host
+        is not set.
         """
         if self._remote is None or name.rsplit("/", 1)[-1] != NAME:
             return False

@@ -88,7 +88,8 @@ def ur_geometry(chain: Chain) -> F64 | None:
 
 
 def _flat(x: F64, z: F64, v: F64) -> F64:
-    """Return the two coordinates of a vector v in the plane of a UR arm whose joint 1 is at zero.
+    """Return the coordinates (2,) of a vector v along the unit vectors x and z, which span the vertical plane
+    of a UR arm's upper arm and forearm at joint 1 = 0.
 
     The arctan2 of the coordinates is the angle from z, positive about y.
     """

@@ -79,7 +79,9 @@ def _side(hand: HandGeometry, links: Part) -> Part:
 
 
 def _speeds(hand: HandGeometry, parts: list[Part]) -> dict[Part, Array]:
-    """Return the mean velocity (3,) of the points of each part, per unit of the driven joint."""
+    """Return the mean velocity (3,) of the points on each part (group of links) of a hand, per unit velocity
+    of the joint that drives the gripper.
+    """
     low, high = hand.driver.limits.lower, hand.driver.limits.upper
     mid, h = (low + high) / 2, (high - low) / 200
     return {p: (hand.at(p, mid + h).mean(0) - hand.at(p, mid - h).mean(0)) / (2 * h) for p in parts}

@@ -361,8 +361,8 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
 
 
 def reach_of(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
-    """Return an upper bound (dof,) [m] on the distance between a
-    constrained point of the manifold and each joint axis.
+    """Return upper bounds (dof,) [m/rad or m/m] on how far a constrained point on a link moves per unit
+    motion of each joint.
 
     The bounds hold in all configurations.
     """

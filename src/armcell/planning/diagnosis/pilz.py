@@ -42,7 +42,7 @@ def is_pilz_motion_failure(diagnosis: Diagnosis) -> bool:
 
 
 def explain_pilz_motion(diagnosis: Diagnosis) -> None:
-    """Explain why a PTP, LIN or CIRC motion failed, and suggest changes with which it succeeds."""
+    """Explain why a PTP, LIN or CIRC motion failed, and suggest changes that make the motion succeed."""
     request, evidence = diagnosis.request, diagnosis.result.evidence
     assert isinstance(request, PlanRequest)
     report_limit_margins(diagnosis)

@@ -325,8 +325,8 @@ def _blend(first: _Item, second: _Item, number: int) -> Blend | Outcome:
 
 
 def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
-    """Return the reason why a blend in a sequence violates a speed limit or workspace of its two motions, or
-    None.
+    """Return the failure if a blend between two motions of a sequence exceeds the Cartesian speed limit or
+    leaves the workspace of one of the motions, else None.
     """
     request, speed = item.request, item.request.max_cartesian_speed
     if speed is not None:

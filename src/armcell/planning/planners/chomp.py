@@ -105,7 +105,7 @@ pipelines["chomp"] = Registry("planner of pipeline 'chomp'", GROUP)
 
 @pipelines["chomp"].register("CHOMP")
 def chomp(problem: Problem) -> PlannerResult:
-    """Plan a smooth path that keeps a distance from obstacles by CHOMP."""
+    """Plan a smooth path with the optimizer CHOMP, which keeps the path at a distance from obstacles."""
     settings: CHOMPSettings = problem.settings or CHOMPSettings()
     cost = ObstacleCost(problem.checker, settings.collision_clearance)
 

@@ -97,7 +97,7 @@ class CellNode(CellMotions):
         super()._after_step()
 
     def say(self, text: str) -> None:
-        """Publish a text of the cell node on the topic /trajectory_status."""
+        """Publish a status message of the cell node on the topic /trajectory_status."""
         super().say(text)
         if not self._status.closed:
             self._status.publish(self.bus.schema.new("std_msgs/String", text))

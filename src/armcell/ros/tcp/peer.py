@@ -151,7 +151,7 @@ class Peer:
 
     # --- services that the peer implements ---
     def serve_remote(self, name: str, type_name: str) -> None:
-        """Offer on the bus a service that the ROS-TCP peer implements.
+        """Advertise a service of the ROS-TCP peer on the bus, and forward each call to the peer.
 
         Raises:
             InputError: the service is served on the bus already.

@@ -91,7 +91,9 @@ class HandPair:
         self.hold: PairHold | None = None
 
     def other(self, group: str) -> str:
-        """Return the planning group of the partner arm, which carries the object with the arm `group`."""
+        """Return the planning group of the partner arm: the arm that carries the object together with the arm
+        `group`.
+        """
         return next(g for g in self.groups if g != group)
 
     def tcp_poses_at(self, q: Array) -> dict[str, SE3]:

@@ -125,8 +125,8 @@ class _Turning:
         self.angle, self._last = 0.0, self.began
 
     def _pose(self) -> SE3:
-        """Return the pose of the screw, relative to the body with the
-        thread if that body is known, else in the world.
+        """Return the measured pose of the screw that the hand drives: in the frame of the body with the
+        threaded hole if that body is known, else in the world frame.
         """
         poses = self.ctx.driver.object_poses()
         return poses[self.item] if self.into not in poses else poses[self.into].inverse() @ poses[self.item]

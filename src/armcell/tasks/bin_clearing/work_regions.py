@@ -34,7 +34,9 @@ class WorkRegion:
 
 @dataclass(frozen=True, eq=False)
 class RegionView:
-    """View of a work region of bin clearing in one depth image."""
+    """Height map and object labels of a work region, an area that bin clearing searches for objects, computed
+    from one depth image.
+    """
 
     region: WorkRegion
     map: HeightMap

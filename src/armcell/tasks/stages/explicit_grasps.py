@@ -36,8 +36,8 @@ class GripperTranslation:
     minimum: float = 0.0  # [m] shorter motions fail; 0: only the full translation succeeds
 
     def accepted(self, result: PlanResult) -> PlanResult:
-        """Mark the straight motion of an explicit grasp as a success
-        if it covers at least the minimum distance.
+        """Mark the planned straight approach or retreat of a caller-specified grasp as a success if the
+        motion covers at least the minimum distance.
         """
         done = result.fraction * float(np.linalg.norm(self.desired))
         if result.trajectory is not None and 0 < self.minimum <= done + 1e-6:

@@ -49,7 +49,8 @@ class UrModel:
         return (5, 26, 0, 130216) if self.e_series else (3, 15, 8, 106339)
 
     def with_software(self, text: str) -> UrModel:
-        """Return the model of a UR arm with an older controller software, such as "3.4" or "5.11.1".
+        """Return a copy of a UR arm's model whose controller runs an older software version, such as "3.4" or
+        "5.11.1".
 
         Raises:
             InputError: the version is invalid or not emulated for this controller generation.

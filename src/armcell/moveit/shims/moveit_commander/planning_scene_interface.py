@@ -129,7 +129,9 @@ class PlanningSceneInterface:
         self._submit(self._new("moveit_msgs/CollisionObject", id=name or "", operation=REMOVE))
 
     def remove_attached_object(self, link: str | None = None, name: str | None = None) -> None:
-        """Detach an object from the robot, like PlanningSceneInterface. The object stays in the world."""
+        """Detach an object from the robot and leave the object in the world, as MoveIt's
+        PlanningSceneInterface does.
+        """
         item = self._new("moveit_msgs/CollisionObject", id=name or "", operation=REMOVE)
         message = self._new("moveit_msgs/AttachedCollisionObject", link_name=link or "", object=item)
         self._submit(message, attach=True)
@@ -174,7 +176,8 @@ class PlanningSceneInterface:
         return self.get_planning_scene(int(GEOMETRY)).world.collision_objects
 
     def get_planning_scene(self, components: Any) -> Any:
-        """Return a PlanningScene message with the requested components, like PlanningSceneInterface.
+        """Return a PlanningScene message that contains the requested components, as MoveIt's
+        PlanningSceneInterface does.
 
         Args:
             components: a bit mask, or a PlanningSceneComponents message.
@@ -223,8 +226,8 @@ class PlanningSceneInterface:
 
     @staticmethod
     def make_mesh(name: str, pose: Any, filename: str, scale: Any = (1, 1, 1)) -> Any:
-        """Load a mesh file (STL, DAE, ...), scale the mesh, and return it as a CollisionObject,
-        like PlanningSceneInterface.
+        """Load a mesh file (STL, DAE, ...), scale the mesh, and return it as a CollisionObject, as MoveIt's
+        PlanningSceneInterface does.
         """
         session = current_session()
         try:

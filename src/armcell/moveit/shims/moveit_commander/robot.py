@@ -107,7 +107,9 @@ class RobotCommander:
         return list(self._group(group).joint_names)
 
     def get_joint_names(self, group: str | None = None) -> list[str]:
-        """Return the names of all joints, including fixed and mimic joints, like RobotCommander."""
+        """Return the names of all joints of the robot or of a group, including fixed and mimic joints, as
+        MoveIt's RobotCommander does.
+        """
         model = current_session().model
         if group is None:
             return list(model.joints)
@@ -156,8 +158,8 @@ class RobotCommander:
         return self._groups[name]
 
     def get_default_owner_group(self, joint_name: str) -> str | None:
-        """Return the name of the smallest planning group that moves a given joint,
-        or None, like RobotCommander.
+        """Return the name of the smallest planning group that moves a given joint, as MoveIt's RobotCommander
+        does. Return None if no group moves the joint.
         """
         groups = [g for g in current_session().model.groups.values() if joint_name in g.joint_names]
         return min(groups, key=lambda g: len(g.joint_names)).name if groups else None

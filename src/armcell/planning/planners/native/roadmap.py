@@ -58,7 +58,7 @@ class Graph(NamedTuple):
 
 
 class Search(NamedTuple):
-    """State of one A* search on a PRM roadmap, as one argument of its kernels.
+    """State of one A* search on a PRM roadmap, bundled into a single argument for the compiled kernels.
 
     Attributes:
         mark: int64 (vertices,), the number of the last search that reached a vertex. cost: (vertices,).
