@@ -24,7 +24,7 @@ from armcell.core import SE3, SO3, ErrorCode, InputError, UnknownNameError
 from armcell.kinematics import IKSettings, NumericIK, ik_solver
 from armcell.kinematics.ik.chain import goal_in_base
 from armcell.kinematics.ik.full_turns import full_turn_equivalents
-from armcell.kinematics.ik.numeric import any_solution
+from armcell.kinematics.ik.numeric import any_solution, ik_problem
 from armcell.kinematics.ik.seeds import halton, pose_numbers
 from armcell.model import Group, RobotModel, load_robot
 
@@ -70,21 +70,8 @@ def test_the_compiled_function_finds_all_of_a_thousand():
     for _ in range(1000):
         target = ik.tree.link_pose(random_positions(ik.model, rng), ik.tip_link).matrix
         goal_in_base(chain.inverse_base, target, goal)
-        assert any_solution(
-            chain.table,
-            chain.bounds,
-            chain.turning,
-            goal,
-            chain.position_weight,
-            home[ik.columns],
-            seeds.positions,
-            seeds.poses,
-            200,
-            30,
-            1e-6,
-            1e-6,
-            found,
-        )
+        problem = ik_problem(chain, goal, home[ik.columns], IKSettings())
+        assert any_solution(problem, seeds.positions, seeds.poses, 200, found)
 
 
 def odd_chains() -> dict[str, RobotModel]:

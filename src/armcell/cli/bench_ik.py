@@ -113,7 +113,7 @@ def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray],
     """
     from armcell.kinematics.ik.analytic import BRANCHES, ur_branches
     from armcell.kinematics.ik.chain import goal_in_base
-    from armcell.kinematics.ik.numeric import any_solution
+    from armcell.kinematics.ik.numeric import any_solution, ik_problem
 
     chain, seeds, geometry = solver.chain_data.chain, solver.chain_data.seeds, solver.chain_data.geometry
     at, goal, found = reference[solver.columns], np.empty(12), np.empty((BRANCHES, len(solver.columns)))
@@ -125,21 +125,8 @@ def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray],
 
     def numeric(T: np.ndarray) -> None:
         goal_in_base(chain.inverse_base, T, goal)
-        any_solution(
-            chain.table,
-            chain.bounds,
-            chain.turning,
-            goal,
-            chain.position_weight,
-            at,
-            seeds.positions,
-            seeds.poses,
-            s.seeds,
-            s.max_iterations,
-            s.position_tolerance,
-            s.rotation_tolerance,
-            found,
-        )
+        problem = ik_problem(chain, goal, at, s)
+        any_solution(problem, seeds.positions, seeds.poses, s.seeds, found)
 
     return numeric if geometry is None else analytic
 

@@ -8,6 +8,7 @@ The tests compare the results with pinocchio's rnea.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -23,6 +24,32 @@ Array = NDArray[np.float64]
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2] in the root frame
 
 
+class RigidBodies(NamedTuple):
+    """Links of a robot as rigid bodies, bundled as one argument of the compiled inverse dynamics.
+
+    Python passes it as a plain tuple: Numba takes 2 us longer to find the type of a named tuple.
+
+    Attributes:
+        parent, T_parent_joint, kind, axis, column, multiplier, offset: the tree, see `KinematicTree`.
+        mass: (links,) [kg].
+        center: (links, 3) center of mass [m, link frame].
+        inertia: (links, 3, 3) about the center of mass [kg m^2, axes of the link frame].
+        gravity: (3,) acceleration [m/s^2, root frame].
+    """
+
+    parent: Any
+    T_parent_joint: Any
+    kind: Any
+    axis: Any
+    column: Any
+    multiplier: Any
+    offset: Any
+    mass: Any
+    center: Any
+    inertia: Any
+    gravity: Any
+
+
 @njit(cache=True)
 def _cross(a, b, out):
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
@@ -30,17 +57,14 @@ def _cross(a, b, out):
 
 
 @njit(cache=True)
-def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset, mass, center, inertia,
-                 gravity, q, dq, ddq, out):  # fmt: skip
+def newton_euler(bodies, q, dq, ddq, out):
     """Compute the inverse dynamics of a robot: write the joint torques for m states q, dq, ddq (m, dof) to
     `out` (m, dof).
 
     Args:
-        parent, ..., offset: the tree, see `KinematicTree`.
-        mass, center, inertia: of every link (links,), (links, 3), (links, 3, 3), in the link's frame,
-            inertia about the center of mass.
-        gravity: acceleration (3,) in the root frame.
+        bodies: the fields of `RigidBodies`.
     """
+    parent, T_parent_joint, kind, axis, column, multiplier, offset, mass, center, inertia, gravity = bodies
     joints = len(parent)
     links = joints + 1
     Ts = np.empty((links, 4, 4))
@@ -148,7 +172,7 @@ class InverseDynamics:
         at = model.default_positions() if positions is None else model.check_positions(positions, margin=1e-3)
         self.positions = np.array(at, dtype=float)
         self.gravity = np.array(float_array(gravity, (3,), "gravity"))
-        tree = self._tree = kinematic_tree(model)
+        tree = kinematic_tree(model)
         links = len(tree.link_names)
         self.mass, self.center = np.zeros(links), np.zeros((links, 3))
         self.inertia = np.zeros((links, 3, 3))
@@ -168,6 +192,10 @@ class InverseDynamics:
                 f"no link that {', '.join(self.joint_names)} move has a mass",
                 hint="torque limits need <inertial> elements in the URDF",
             )
+        self._bodies = tuple(RigidBodies(
+            tree.parent, tree.T_parent_joint, tree.kind, tree.axis, tree.column, tree.multiplier, tree.offset,
+            self.mass, self.center, self.inertia, self.gravity,
+        ))  # fmt: skip
 
     def _add(self, link: int, inertial: Inertial) -> None:
         """Add a body to a link for inverse dynamics: sum up the masses, and the inertias about the common
@@ -190,11 +218,7 @@ class InverseDynamics:
         """
         at, speed, gain = self._whole(q, self.positions), self._whole(dq, 0.0), self._whole(ddq, 0.0)
         out = np.empty_like(at)
-        tree = self._tree
-        newton_euler(
-            tree.parent, tree.T_parent_joint, tree.kind, tree.axis, tree.column, tree.multiplier, tree.offset,
-            self.mass, self.center, self.inertia, self.gravity, at, speed, gain, out,
-        )  # fmt: skip
+        newton_euler(self._bodies, at, speed, gain, out)
         return out[:, self.columns]
 
     def _whole(self, values: ArrayLike, others: float | Array) -> Array:

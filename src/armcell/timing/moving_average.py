@@ -90,13 +90,15 @@ GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with thre
 
 
 @njit(cache=True)
-def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
+def _motion_at(times, pieces, motion):
     """Sample a motion at given times for the computation of moving averages. Return three arrays (m, n): the
     integrated position, the position and the velocity.
 
     The times increase. Positions are relative to the first point, and the integral begins at time 0. The
     motion is at rest before its start and after its end.
     """
+    kind, origin, x, y, length, radius = pieces
+    piece, s0, v0, u, t0 = motion
     m, n, last = len(times), origin.shape[1], len(piece) - 1
     area, position, velocity = np.zeros((m, n)), np.zeros((m, n)), np.zeros((m, n))
     a0, b0, _, _, _, _ = coefficients(kind[0], length[0], radius[0], 0.0)
@@ -158,29 +160,31 @@ def _difference(now, then, shift, factor):
 
 
 @njit(cache=True)
-def sample_moving_average(
-    start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, t0, step, window
-):
+def sample_moving_average(start, goal, pieces, motion, step, window):
     """Sample a motion after smoothing by a moving average over `window` [s]; return a point every `step` [s].
 
     The last interval is 0.5 to 1.5 steps long.
 
+    Args:
+        start, goal: first and last point (n,) of the path.
+        pieces: arrays of the path's pieces, see `BlendedPath.arrays`.
+        motion: intervals of constant path acceleration, see `topp.fastest`.
     Returns:
         Times (k,), positions, velocities and accelerations (k, n).
     """
     n = len(start)
-    total = t0[-1] + window
+    total = motion[4][-1] + window
     k = max(round(total / step), 1) + 1
     times, earlier = np.empty(k), np.empty(k)
     for j in range(k):
         times[j] = total if j == k - 1 else j * step
         earlier[j] = times[j] - window
-    q, v, a = _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0)
+    q, v, a = _motion_at(times, pieces, motion)
     shift = round(window / step)
     then_q, then_v, then_a = q, v, a
     if abs(shift * step - window) > 1e-9:  # else the window's other end is an earlier point
         shift = 0
-        then_q, then_v, then_a = _motion_at(earlier, kind, origin, x, y, length, radius, piece, s0, v0, u, t0)
+        then_q, then_v, then_a = _motion_at(earlier, pieces, motion)
     # Integral, position and velocity become position, velocity and acceleration, the last points first.
     _difference(q.ravel(), then_q.ravel(), shift * n, 1.0 / window)
     _difference(v.ravel(), then_v.ravel(), shift * n, 1.0 / window)

@@ -123,7 +123,7 @@ def parameterize(
         return zero_length_trajectory(path, joint_names)
     motion = fastest_motion(path, joint_names, velocity, acceleration, settings, torque)
     times, q, v, a = moving_average.sample_moving_average(
-        path.points[0], path.points[-1], *path.arrays, *motion, settings.sample_time, settings.smoothing
+        path.points[0], path.points[-1], path.arrays, motion, settings.sample_time, settings.smoothing
     )
     peak_v, peak_a = moving_average.peaks(times, q, v, a, velocity, acceleration)
     over = max(peak_v, np.sqrt(peak_a))
@@ -177,7 +177,7 @@ def fastest_motion(
             )  # fmt: skip
         rows = np.stack([rows[at], rows[at + 1]], axis=1)
     return topp.fastest(
-        *path.arrays, path.rests, piece, begin, end, velocity, ACCELERATION_SHARE * acceleration, rows, limit
+        path.arrays, path.rests, piece, begin, end, velocity, ACCELERATION_SHARE * acceleration, rows, limit
     )
 
 

@@ -91,13 +91,14 @@ def _row(alpha, beta, constant, limit, i, r, center, half, slope, cap):
 
 
 @njit(cache=True, fastmath=FAST)
-def fastest(kind, origin, x, y, length, radius, rests, piece, begin, end, velocity, acceleration,
-            torque, torque_limit):  # fmt: skip
+def fastest(pieces, rests, piece, begin, end, velocity, acceleration, torque, torque_limit):
     """Compute the time-optimal motion along the pieces of a path within joint limits and torque limits.
 
     The motion is at rest at both ends and at the end of each piece that `rests`.
 
     Args:
+        pieces: arrays of the path's pieces, see `BlendedPath.arrays`.
+        rests: (p,) whether the motion must rest at the end of each piece.
         piece, begin, end: the grid (m,), see `grid`.
         velocity, acceleration: limits (n,).
         torque: (m, 2, 3, n) coefficients of u, x and 1 in the joint torques at both ends of each interval;
@@ -108,6 +109,7 @@ def fastest(kind, origin, x, y, length, radius, rests, piece, begin, end, veloci
         acceleration at the start of the interval, each (k,); start times (k + 1,), with the end of the
         motion last.
     """
+    kind, _, x, y, length, radius = pieces
     m, n = len(piece), len(velocity)
     gridded = len(torque) > 0
     rows = 4 * n if gridded else 2 * n

@@ -198,6 +198,19 @@ def _relative(s):
         s[R + 4 * i + 3] = s[B + i] * x + s[B + 4 + i] * y + s[B + 8 + i] * z
 
 
+@inner_njit(forceinline=True)
+def _solid(I, piece):
+    """Return a convex piece of an exact test as a solid for GJK."""
+    points = I[PIECE_POINTS] + 2 * piece
+    return gjk.ConvexSolid(
+        I[I[PIECE_KIND] + piece],
+        I[PIECE_SIZE] + 3 * piece,
+        I[POINTS] + 3 * I[points],
+        I[POINTS32] + 3 * I[points],
+        I[points + 1],
+    )
+
+
 @inner_njit
 def _piece_distance(I, F, D, a, b, enough, warm, s):
     """Return the distance [m] between two convex pieces in an exact test.
@@ -216,17 +229,13 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
     if gap2 > apart * apart:
         return np.sqrt(gap2) - D[ball_a + 3] - D[ball_b + 3]
     _relative(s)
-    ka, kb = I[I[PIECE_KIND] + a], I[I[PIECE_KIND] + b]
-    sa, sb = I[PIECE_SIZE] + 3 * a, I[PIECE_SIZE] + 3 * b
-    pa, pb = I[PIECE_POINTS] + 2 * a, I[PIECE_POINTS] + 2 * b
-    fa, fb = I[POINTS] + 3 * I[pa], I[POINTS] + 3 * I[pb]
-    ga, gb = I[POINTS32] + 3 * I[pa], I[POINTS32] + 3 * I[pb]
-    if kb == gjk.HALFSPACE:  # the lowest point of a along the plane's normal
+    first, second = _solid(I, a), _solid(I, b)
+    if second.kind == gjk.HALFSPACE:  # the lowest point of a along the plane's normal
         nx, ny, nz = s[R + 8], s[R + 9], s[R + 10]
-        gjk.support(F, D, ka, sa, fa, ga, I[pa + 1], -nx, -ny, -nz, s, np.int64(48))
+        gjk.support(F, D, first, -nx, -ny, -nz, s, np.int64(48))
         s[gjk.NORMAL], s[gjk.NORMAL + 1], s[gjk.NORMAL + 2] = 0.0, 0.0, 1.0
         return max(nx * s[48] + ny * s[49] + nz * s[50] + s[R + 11], 0.0)
-    return gjk.distance(F, D, R, ka, sa, fa, ga, I[pa + 1], kb, sb, fb, gb, I[pb + 1], enough, warm, s)
+    return gjk.distance(F, D, R, first, second, enough, warm, s)
 
 
 @inner_njit
@@ -326,7 +335,8 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
         cy = y + s[R + 4] * D[ball] + s[R + 5] * D[ball + 1] + s[R + 6] * D[ball + 2]
         cz = z + s[R + 8] * D[ball] + s[R + 9] * D[ball + 1] + s[R + 10] * D[ball + 2]
         # The arguments have the types of `_piece_distance` (no constants), or gjk is compiled again.
-        points, warm, unused = I[PIECE_POINTS] + 2 * a, a < 0, np.int64(a)
+        warm, unused = a < 0, np.int64(a)
+        piece, part = _solid(I, a), gjk.ConvexSolid(kind, unused, unused, unused, kind)
         for k in range(count):
             at = state[LISTED + k]
             px, py, pz = float(F[at]), float(F[at + L]), float(F[at + 2 * L])
@@ -347,10 +357,7 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
             if (cx - px) ** 2 + (cy - py) ** 2 + (cz - pz) ** 2 > apart * apart:
                 continue
             s[R + 3], s[R + 7], s[R + 11] = x - px, y - py, z - pz
-            d = gjk.distance(
-                F, D, R, I[I[PIECE_KIND] + a], I[PIECE_SIZE] + 3 * a, I[POINTS] + 3 * I[points],
-                I[POINTS32] + 3 * I[points], I[points + 1], kind, unused, unused, unused, kind, need, warm, s,
-            )  # fmt: skip
+            d = gjk.distance(F, D, R, piece, part, need, warm, s)
             warm = True  # the next part is usually near this one
             if d <= s[gjk.CLOSE]:
                 return CONTACT

@@ -11,6 +11,8 @@ tests compare it with coal.
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from armcell._inner_njit import inner_njit
@@ -37,6 +39,23 @@ TOLERANCE = 1e-6  # [m] tolerance of the distance, plus this share of `enough`:
 SHARE = 0.05
 TOUCHING = 2e-6
 """[m] Solids closer than this touch: frames and points are float32, and coal calls 1 um a contact as well."""
+
+
+class ConvexSolid(NamedTuple):
+    """Convex solid for GJK, as one argument of the kernels: where its numbers and points are.
+
+    Attributes:
+        kind: POINTS to TRIANGLE.
+        size: index in D of the solid's three numbers [m].
+        points, points32: indices in D and in F of the points [m], which only the kind POINTS has.
+        count: number of points.
+    """
+
+    kind: Any
+    size: Any
+    points: Any
+    points32: Any
+    count: Any
 
 
 @inner_njit
@@ -82,18 +101,18 @@ def _part_support(kind, dx, dy, dz, s, out):
 
 
 @inner_njit
-def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
+def support(F, D, solid, dx, dy, dz, s, out):
     """Compute the support point of a convex solid along (dx, dy, dz) in the solid's own frame, for GJK.
 
-    The result is written to s[out : out + 3]. `size` is the index of the solid's three numbers in D; `first`
-    and `first32` are the indices of its points in D and F.
+    The result is written to s[out : out + 3].
     """
+    kind, size = solid.kind, solid.size
     if kind >= BALL:
         _part_support(kind, dx, dy, dz, s, out)
         return
     a, b = D[size], D[size + 1]
     if kind == POINTS:
-        best = first + 3 * _farthest(F, first32, count, dx, dy, dz)
+        best = solid.points + 3 * _farthest(F, solid.points32, solid.count, dx, dy, dz)
         s[out], s[out + 1], s[out + 2] = D[best], D[best + 1], D[best + 2]
     elif kind == BOX:
         c = D[size + 2]
@@ -115,17 +134,17 @@ def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
 
 
 @inner_njit
-def _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, dx, dy, dz, s, at):
-    """Compute the support point of the Minkowski difference A - B along d, in B's frame, for GJK.
+def _minkowski(F, D, T, a, b, dx, dy, dz, s, at):
+    """Compute the support point of the Minkowski difference a - b along d, in b's frame, for GJK.
 
-    The result is written to s[at:]. s[T : T + 12] is the transform from A's frame to B's.
+    The result is written to s[at:]. s[T : T + 12] is the transform from a's frame to b's.
     """
     ax = s[T] * dx + s[T + 4] * dy + s[T + 8] * dz
     ay = s[T + 1] * dx + s[T + 5] * dy + s[T + 9] * dz
     az = s[T + 2] * dx + s[T + 6] * dy + s[T + 10] * dz
-    support(F, D, ka, sa, fa, ga, na, ax, ay, az, s, np.int64(48))
+    support(F, D, a, ax, ay, az, s, np.int64(48))
     x, y, z = s[48], s[49], s[50]
-    support(F, D, kb, sb, fb, gb, nb, -dx, -dy, -dz, s, np.int64(51))
+    support(F, D, b, -dx, -dy, -dz, s, np.int64(51))
     s[at] = s[T] * x + s[T + 1] * y + s[T + 2] * z + s[T + 3] - s[51]
     s[at + 1] = s[T + 4] * x + s[T + 5] * y + s[T + 6] * z + s[T + 7] - s[52]
     s[at + 2] = s[T + 8] * x + s[T + 9] * y + s[T + 10] * z + s[T + 11] - s[53]
@@ -272,20 +291,18 @@ def _tetrahedron(s, v):
 
 
 @inner_njit
-def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
-    """Return the distance [m] of two convex solids A and B by GJK, or 0 if they touch.
+def distance(F, D, T, a, b, enough, warm, s):
+    """Return the distance [m] of two solids a and b (`ConvexSolid`) by GJK, or 0 if they touch.
 
     The result is never above the true distance.
 
     Args:
         F, D: numbers and points of the solids.
-        T: index in `s` of the 12 numbers (3x4 rows) of the transform from A's frame to B's.
-        ka, sa, fa, ga, na: kind of A, indices of its three numbers in D and of its points in D and in F, and
-            number of points; likewise for B.
+        T: index in `s` of the 12 numbers (3x4 rows) of the transform from a's frame to b's.
         enough: a lower bound above this value (and `TOUCHING`) ends the search early and is returned.
         warm: start with the normal in s[NORMAL:].
         s: scratch memory; the first `SCRATCH` numbers are overwritten. s[NORMAL : NORMAL + 3] receives the
-            unit vector in B's frame along which the returned distance separates A from B.
+            unit vector in b's frame along which the returned distance separates a from b.
     """
     v = 30
     if warm:
@@ -300,7 +317,7 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
         length2 = s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2]
         if n > 0 and length2 < 1e-18:
             return 0.0
-        _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, -s[v], -s[v + 1], -s[v + 2], s, 36)
+        _minkowski(F, D, T, a, b, -s[v], -s[v + 1], -s[v + 2], s, 36)
         dot = s[v] * s[36] + s[v + 1] * s[37] + s[v + 2] * s[38]
         length = np.sqrt(length2)
         if dot > bound * length:

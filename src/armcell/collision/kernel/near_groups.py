@@ -7,6 +7,8 @@ over the joint ranges, and the kernel checks only the remaining groups.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -22,27 +24,63 @@ APART = 1e-4  # [m] distance to be proven
 BEYOND = 0.02  # [rad, m] extension of the joint ranges beyond the limits
 
 
+class Frames(NamedTuple):
+    """Moving frames of a robot (f), as one argument of the kernels that find near groups.
+
+    Attributes:
+        fixed: (f, 12) pose of each frame in its parent frame at joint value 0, rows of a 3x4 matrix.
+        kind: (f,) 1 for a joint that turns about z, otherwise the joint slides along z.
+        multiplier, offset: (f,) joint value = multiplier * variable + offset [rad or m].
+        column: (f,) index of the variable that moves each frame.
+    """
+
+    fixed: Any
+    kind: Any
+    multiplier: Any
+    offset: Any
+    column: Any
+
+
+class SphereGroups(NamedTuple):
+    """Sphere groups (g) of a robot body, as one argument of the kernel that finds near groups.
+
+    Attributes:
+        branch: indices of the frames from below the common frame of both bodies down to the body's frame.
+        reach: (g, k) upper bounds [m] of the motion of a group's points per unit of each variable.
+        groups: (g, 4) center and radius [m] of each group's bounding sphere, in the body's frame.
+        starts: (g + 1,) index of each group's first sphere, and the number of spheres.
+        spheres: (s, 4) center and radius [m] of each sphere, in the body's frame.
+    """
+
+    branch: Any
+    reach: Any
+    groups: Any
+    starts: Any
+    spheres: Any
+
+
 @njit(cache=True)
-def _place(branch, fixed, kind, multiplier, offset, column, q, out):
+def _place(branch, frames, q, out):
     """Compute the pose (3, 4) of the last frame of a kinematic branch relative to the first. Used to find
     sphere groups that never meet.
     """
     for i in range(3):
         for j in range(4):
             out[i, j] = 1.0 if i == j else 0.0
-    T = np.empty((3, 4))
+    fixed, T = frames.fixed, np.empty((3, 4))
     for f in branch:
         for i in range(3):
             for j in range(4):
                 T[i, j] = out[i, 0] * fixed[f, j] + out[i, 1] * fixed[f, 4 + j] + out[i, 2] * fixed[f, 8 + j]
             T[i, 3] += out[i, 3]
-        value = multiplier[f] * q[column[f]] + offset[f]
-        c, s = (np.cos(value), np.sin(value)) if kind[f] == 1 else (1.0, 0.0)
+        turns = frames.kind[f] == 1
+        value = frames.multiplier[f] * q[frames.column[f]] + frames.offset[f]
+        c, s = (np.cos(value), np.sin(value)) if turns else (1.0, 0.0)
         for i in range(3):
             out[i, 0] = T[i, 0] * c + T[i, 1] * s
             out[i, 1] = T[i, 1] * c - T[i, 0] * s
             out[i, 2] = T[i, 2]
-            out[i, 3] = T[i, 3] + (0.0 if kind[f] == 1 else value * T[i, 2])
+            out[i, 3] = T[i, 3] + (0.0 if turns else value * T[i, 2])
 
 
 @njit(cache=True)
@@ -69,40 +107,42 @@ def _spheres_gap(first, first_end, a, ra, second, second_end, b, rb):
 _known: dict[str, NDArray[np.bool_]] = {}
 
 
-def cached_near_groups(*arguments: NDArray) -> NDArray[np.bool_]:
-    """Return which sphere groups of two bodies can come near each other. The result is cached on disk."""
-    key = key_of(str(VERSION), *arguments)
+def cached_near_groups(
+    i: SphereGroups, j: SphereGroups, frames: Frames, lower: F64, upper: F64
+) -> NDArray[np.bool_]:
+    """Return which sphere groups of two bodies can come near each other. The result is cached on disk.
+
+    The arguments and the result are those of `meeting_groups`.
+    """
+    key = key_of(str(VERSION), *i, *j, *frames, lower, upper)
     if key not in _known:
         stored = recall("near", key)
         if stored is None:
-            stored = {"meeting": meeting_groups(*arguments)}
+            stored = {"meeting": meeting_groups(i, j, frames, lower, upper)}
             keep("near", key, **stored)
         _known[key] = stored["meeting"]
     return _known[key]
 
 
 @njit(cache=True)
-def meeting_groups(branch_i, branch_j, fixed, kind, multiplier, offset, column, lower, upper, reach_i,
-                   reach_j, groups_i, starts_i, spheres_i, groups_j, starts_j, spheres_j):  # fmt: skip
+def meeting_groups(i, j, frames, lower, upper):
     """Return a mask (groups of i, groups of j) of the sphere groups that
     can come near each other, for two bodies i and j.
 
     It is False for two groups only if they are proven more than `APART` apart at all joint positions.
 
     Args:
-        branch_i, branch_j: frames from below the common frame down to each body's frame.
-        lower, upper: (k,) ranges of the joint variables; column: the variable that moves each frame.
-        reach_i, reach_j: (groups, k) upper bounds [m] of the motion of a group's points per unit of each
-            variable.
-        groups, spheres: center and radius in the body's frame; starts: first sphere of each group, and end.
+        i, j: `SphereGroups` of each body.
+        frames: `Frames` of the robot.
+        lower, upper: (k,) ranges of the joint variables [rad or m].
     """
-    n_i, n_j, k = len(groups_i), len(groups_j), len(lower)
+    n_i, n_j, k = len(i.groups), len(j.groups), len(lower)
     meeting = np.zeros((n_i, n_j), np.bool_)
     depth_max = 64
     box = np.empty((depth_max, 2, k))
     alive = np.ones((depth_max, n_i, n_j), np.bool_)
     gi, gj = np.empty((n_i, 3)), np.empty((n_j, 3))
-    si, sj = np.empty((len(spheres_i), 3)), np.empty((len(spheres_j), 3))
+    si, sj = np.empty((len(i.spheres), 3)), np.empty((len(j.spheres), 3))
     Ti, Tj, q = np.empty((3, 4)), np.empty((3, 4)), np.empty(k)
     box[0, 0], box[0, 1] = lower, upper
     depth = 0
@@ -113,12 +153,12 @@ def meeting_groups(branch_i, branch_j, fixed, kind, multiplier, offset, column, 
         weight = np.zeros(k)  # motion that halving the range would remove
         for c in range(k):
             q[c] = 0.5 * (lo[c] + hi[c])
-        _place(branch_i, fixed, kind, multiplier, offset, column, q, Ti)
-        _place(branch_j, fixed, kind, multiplier, offset, column, q, Tj)
-        _apply(Ti, groups_i, gi)
-        _apply(Tj, groups_j, gj)
-        _apply(Ti, spheres_i, si)
-        _apply(Tj, spheres_j, sj)
+        _place(i.branch, frames, q, Ti)
+        _place(j.branch, frames, q, Tj)
+        _apply(Ti, i.groups, gi)
+        _apply(Tj, j.groups, gj)
+        _apply(Ti, i.spheres, si)
+        _apply(Tj, j.spheres, sj)
         left = False
         for a in range(n_i):
             for b in range(n_j):
@@ -127,11 +167,11 @@ def meeting_groups(branch_i, branch_j, fixed, kind, multiplier, offset, column, 
                     continue
                 motion = 0.0
                 for c in range(k):
-                    motion += 0.5 * (hi[c] - lo[c]) * (reach_i[a, c] + reach_j[b, c])
-                gap = _gap(gi[a], groups_i[a, 3], gj[b], groups_j[b, 3])
+                    motion += 0.5 * (hi[c] - lo[c]) * (i.reach[a, c] + j.reach[b, c])
+                gap = _gap(gi[a], i.groups[a, 3], gj[b], j.groups[b, 3])
                 if gap < motion + APART:
-                    gap = _spheres_gap(starts_i[a], starts_i[a + 1], si, spheres_i,
-                                       starts_j[b], starts_j[b + 1], sj, spheres_j)  # fmt: skip
+                    gap = _spheres_gap(i.starts[a], i.starts[a + 1], si, i.spheres,
+                                       j.starts[b], j.starts[b + 1], sj, j.spheres)  # fmt: skip
                 if gap >= motion + APART:
                     mine[a, b] = False
                 elif gap < APART or motion < SMALLEST or depth + 3 > depth_max:
@@ -140,7 +180,7 @@ def meeting_groups(branch_i, branch_j, fixed, kind, multiplier, offset, column, 
                 else:
                     left = True
                     for c in range(k):
-                        weight[c] += (hi[c] - lo[c]) * (reach_i[a, c] + reach_j[b, c])
+                        weight[c] += (hi[c] - lo[c]) * (i.reach[a, c] + j.reach[b, c])
         if not left:
             continue
         widest = int(np.argmax(weight))

@@ -284,22 +284,24 @@ class _Builder:
             lower.append(-np.pi if turns else low)
             upper.append(np.pi if turns else high)
         place = {c: k for k, c in enumerate(columns)}
-        spheres, groups, starts = [], [], []
-        for k in (i, j):
+        bodies = []
+        for k, branch in ((i, branch_i), (j, branch_j)):
             first, end = arrays["body_groups"][k : k + 2]
             ends = arrays["group_spheres"][first : end + 1]
-            groups.append(arrays["group_sphere"][first:end].astype(float))
-            spheres.append(arrays["sphere"][ends[0] : ends[-1]].astype(float))
-            starts.append(ends - ends[0])
-        arguments = (
-            np.array(branch_i, np.int64), np.array(branch_j, np.int64), np.array(self.fixed),
-            np.array(self.kind), np.array(self.multiplier), np.array(self.offset),
-            np.array([place.get(c, 0) for c in self.column]), np.array(lower) - near_groups.BEYOND,
-            np.array(upper) + near_groups.BEYOND, self._group_reach(branch_i, columns, groups[0]),
-            self._group_reach(branch_j, columns, groups[1]),
-            groups[0], starts[0], spheres[0], groups[1], starts[1], spheres[1],
+            groups = arrays["group_sphere"][first:end].astype(float)
+            spheres = arrays["sphere"][ends[0] : ends[-1]].astype(float)
+            reach = self._group_reach(branch, columns, groups)
+            bodies.append(
+                near_groups.SphereGroups(np.array(branch, np.int64), reach, groups, ends - ends[0], spheres)
+            )
+        frames = near_groups.Frames(
+            np.array(self.fixed), np.array(self.kind), np.array(self.multiplier), np.array(self.offset),
+            np.array([place.get(c, 0) for c in self.column]),
         )  # fmt: skip
-        return near_groups.cached_near_groups(*arguments)
+        beyond = near_groups.BEYOND
+        return near_groups.cached_near_groups(
+            bodies[0], bodies[1], frames, np.array(lower) - beyond, np.array(upper) + beyond
+        )
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
         """Return upper bounds (groups, columns) on how far each sphere group of a robot body moves when the

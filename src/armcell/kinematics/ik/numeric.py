@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -26,21 +27,58 @@ from armcell.model import Joint, Link, RobotModel
 DISTINCT = 1e-2  # [rad or m] in any joint
 
 
+class IKProblem(NamedTuple):
+    """Problem of numeric inverse kinematics, bundled as one argument of the compiled search.
+
+    Python passes it as a plain tuple: Numba takes 2 us longer to find the type of a named tuple.
+
+    Attributes:
+        table, bounds, turning: the chain, see `Chain`.
+        goal: (12,) desired pose of the tip in the chain's base frame.
+        scale: weight of a meter against a radian [1/m].
+        reference: (n,) positions near which the solutions' full turns are chosen.
+        iterations: maximum number of iterations for each seed.
+        position_tolerance: [m].
+        rotation_tolerance: [rad].
+    """
+
+    table: Any
+    bounds: Any
+    turning: Any
+    goal: Any
+    scale: float
+    reference: Any
+    iterations: int
+    position_tolerance: float
+    rotation_tolerance: float
+
+
+def ik_problem(
+    chain: Chain, goal: NDArray[np.float64], reference: NDArray[np.float64], settings: IKSettings
+) -> tuple[Any, ...]:
+    """Return the fields of `IKProblem` for bringing the tip of a chain to the pose `goal` (12,)."""
+    s = settings
+    return tuple(IKProblem(
+        chain.table, chain.bounds, chain.turning, goal, chain.position_weight, reference, s.max_iterations,
+        s.position_tolerance, s.rotation_tolerance,
+    ))  # fmt: skip
+
+
 @njit(cache=True, error_model="numpy")
-def search(
-    table, bounds, turning, goal, scale, reference, seeds, scores, tries, iterations,
-    position_tolerance, rotation_tolerance, found, count, want,
-):  # fmt: skip
+def search(problem, seeds, scores, tries, found, count, want):
     """Search for distinct IK solutions from many start configurations (seeds), and append up to `want` of
     them to `found` at row `count`.
 
     Args:
-        reference: positions (n,) near which the solutions' full turns are chosen.
+        problem: the fields of `IKProblem`.
         seeds: (s, n) seeds, tried by increasing score; the score of a tried seed becomes infinite.
         tries: maximum number of seeds to try in this call.
     Returns:
         Number of seeds tried, number of solutions in `found`.
     """
+    table, bounds, turning, goal, scale, reference, iterations, position_tolerance, rotation_tolerance = (
+        problem
+    )
     n = len(bounds)
     patience = np.int64(PATIENCE)  # for a literal Numba would compile descend again
     q, axes, J = np.empty(n), np.empty((len(table), 6)), np.empty((n, 7))
@@ -70,19 +108,14 @@ def search(
 
 
 @njit(cache=True, error_model="numpy")
-def any_solution(
-    table, bounds, turning, goal, scale, reference, seeds, poses, tries, iterations,
-    position_tolerance, rotation_tolerance, found,
-):  # fmt: skip
+def any_solution(problem, seeds, poses, tries, found):
     """Search for one IK solution from tabulated start configurations (seeds), and write it to `found` (1, n).
     Return whether one was found.
     """
     scores = np.empty(len(seeds), np.float32)
+    _, _, _, goal, scale, _, _, _, _ = problem
     rank(poses, goal, scale, scores)
-    return search(
-        table, bounds, turning, goal, scale, reference, seeds, scores, tries, iterations,
-        position_tolerance, rotation_tolerance, found, 0, 1,
-    )[1] > 0  # fmt: skip
+    return search(problem, seeds, scores, tries, found, 0, 1)[1] > 0
 
 
 Array = NDArray[np.float64]
@@ -108,26 +141,11 @@ class NumericIK(IKSolver):
         chain, s = prepared.chain, self.settings
         if np.linalg.norm(goal[[3, 7, 11]]) > chain.reach + s.position_tolerance:
             return
+        problem = ik_problem(chain, goal, reference, s)
         found, count, given = np.empty((s.seeds, len(reference))), 0, 0
         for seeds, scores, left in self._seeds(prepared, goal, reference, rng):
             while left > 0:
-                tried, count = search(
-                    chain.table,
-                    chain.bounds,
-                    chain.turning,
-                    goal,
-                    chain.position_weight,
-                    reference,
-                    seeds,
-                    scores,
-                    min(left, BARREN),
-                    s.max_iterations,
-                    s.position_tolerance,
-                    s.rotation_tolerance,
-                    found,
-                    count,
-                    given + BATCH,
-                )
+                tried, count = search(problem, seeds, scores, min(left, BARREN), found, count, given + BATCH)
                 left -= tried
                 if count == given > 0 and tried == BARREN:
                     return
