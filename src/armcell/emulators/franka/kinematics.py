@@ -47,7 +47,7 @@ def _multiply(T, step):
         T[r, 3] += a * step[0, 3] + b * step[1, 3] + c * step[2, 3]
 
 
-@njit(cache=True)
+@njit("void(f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])", cache=True)
 def chain(steps, axes, q, tool, T, J):
     """Compute the pose T (4, 4) of a frame fixed to the last link of an emulated Franka arm, and the Jacobian
     J (6, 7) of its origin, linear rows first. Both are in the base frame O.
@@ -107,7 +107,7 @@ def _wrench(J, torque, felt):
         felt[i] = A[i, 6] / A[i, i]
 
 
-@njit(cache=True)
+@njit("f8[::1](f8[:,::1])", cache=True)
 def rotation_log(R):
     """Return the rotation vector (3,) [rad] of a rotation (3, 3) of less than half a turn,
     for the kinematics of Franka arms.

@@ -132,7 +132,7 @@ def check_joints(
     reference.q, reference.dq, reference.ddq = q, dq, ddq
 
 
-@njit(cache=True)
+@njit(f"UniTuple(i8, 2)({', '.join(['f8[::1]'] * 10)}, f8, f8[::1], f8[::1])", cache=True)
 def _violation(q, dq, dq_before, ddq_before, lower, upper, low, high, most, jerkiest, noise, ddq, jerk):
     """Check the next joint reference of a Franka motion generator: compute `ddq` and `jerk` (7,) in place.
 

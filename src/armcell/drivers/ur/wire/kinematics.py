@@ -32,22 +32,22 @@ def frames_of(dh: Kinematics, q: ArrayLike) -> F64:
 @lru_cache(maxsize=64)
 def _frames_of(dh: Kinematics, q: bytes) -> F64:
     frames = np.empty((7, 4, 4))
-    _chain(np.frombuffer(q), np.array((dh.theta, dh.a, dh.d, dh.alpha)), frames)
+    _chain(np.frombuffer(q) + dh.theta, np.array((dh.a, dh.d, dh.alpha)), frames)
     frames.flags.writeable = False
     return frames
 
 
-@njit(cache=True)
-def _chain(q, dh, frames):
-    """Write T_base_i (7, 4, 4) of the DH frames (theta, a, d, alpha) (4, 6) of a UR arm to `frames`."""
+@njit("void(f8[::1], f8[:,::1], f8[:,:,::1])", cache=True)
+def _chain(angles, dh, frames):
+    """Write T_base_i (7, 4, 4) of the DH frames of a UR arm to `frames`. `dh` (3, 6) are a, d and alpha."""
     frames[:] = np.eye(4)
     step = np.eye(4)
     for i in range(6):
-        angle, a, alpha = q[i] + dh[0, i], dh[1, i], dh[3, i]
+        angle, a, alpha = angles[i], dh[0, i], dh[2, i]
         c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)
         step[0, 0], step[0, 1], step[0, 2], step[0, 3] = c, -s * ca, s * sa, a * c
         step[1, 0], step[1, 1], step[1, 2], step[1, 3] = s, c * ca, -c * sa, a * s
-        step[2, 1], step[2, 2], step[2, 3] = sa, ca, dh[2, i]
+        step[2, 1], step[2, 2], step[2, 3] = sa, ca, dh[1, i]
         for r in range(3):
             for k in range(4):
                 total = 0.0
