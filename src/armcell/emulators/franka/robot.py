@@ -237,11 +237,10 @@ class Robot:
         if self.mode is not RobotMode.MOVE:
             return
         if found[1].any():
-            joint, cartesian = found[1, :JOINTS], found[1, JOINTS:]
-            if cartesian.any():
-                self.cartesian_collision = cartesian
+            if found[1, JOINTS:].any():
+                self.cartesian_collision = found[1, JOINTS:]
                 raise Reflex("cartesian_reflex", self.plant.contact())
-            self.joint_collision = joint
+            self.joint_collision = found[1, :JOINTS]
             raise Reflex("joint_reflex", self.plant.contact())
         own = self.plant.links
         if (
