@@ -20,6 +20,7 @@ from armcell.scene import PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
 
 IDLE = 1.0  # [s] without a client before a run counts as ended
+TIE = 1e-4  # [s] steps that are due within this time of each other may run in either order
 MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger delay is lost
 
 
@@ -114,15 +115,20 @@ class Rack(Generic[AnyController]):
         """Run the emulated controllers in the rack and serve their clients until `stop` is called.
 
         The controllers' cycles are offset within their periods, because real controllers are not synchronized
-        either. If the emulation is late, all controllers are: several arms may share a world.
+        either. Of the steps that are due, the one that must end first runs first: a Franka, whose client then
+        has the time of a UR's step to answer. If the emulation is late, all controllers are: several arms may
+        share a world.
         """
         self.open()
         count, begun = len(self.controllers), time.monotonic()
+        spare = [c.period - c.answer_time for c in self.controllers]  # [s] from a due step to its latest end
         due = [begun + i * c.period / count for i, c in enumerate(self.controllers)]
         while not self._stop.is_set():
             _interrupts.check()
-            now, turn = time.monotonic(), due.index(min(due))
-            if now >= due[turn]:
+            now = time.monotonic()
+            if now >= min(due):
+                ready = (i for i in range(count) if due[i] <= now + TIE)
+                turn = min(ready, key=lambda i: due[i] + spare[i])
                 controller = self.controllers[turn]
                 controller.step()
                 if self._trace is not None:

@@ -15,7 +15,7 @@ from armcell.sim.friction import HeldObjectCorrection
 from armcell.sim.gripper_servos import Fingers
 from armcell.sim.mujoco_model import BuiltModel
 from armcell.sim.pair_culling import PairCulling
-from armcell.sim.servo import Controls
+from armcell.sim.servo import ArmServo, Controls
 from armcell.sim.step_kernel import FIXED, LIBRARY, take_steps
 from armcell.sim.suction import Suction
 
@@ -39,6 +39,7 @@ class CompiledStepper:
         fingers: Fingers,
         holding: HeldObjectCorrection,
         suction: Suction,
+        servo: ArmServo,
         count: NDArray[np.int32],
     ):
         self._data, self._apart = data, PairCulling(built)
@@ -46,7 +47,7 @@ class CompiledStepper:
         self.forget = self._apart.forget
         self._arrays = (
             count, data.qpos, data.ctrl, data.geom_xpos, fingers.law, fingers.joints, fingers.weights,
-            *self._apart.arrays, *holding.arrays, *suction.arrays,
+            *self._apart.arrays, *holding.arrays, *suction.arrays, data.qvel, servo.law, servo.at,
         )  # fmt: skip
         self._fixed = addresses_of(self._arrays, FIXED)
 
@@ -107,17 +108,18 @@ class CompiledStepper:
 
 
 def compiled_steps(
-    built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: HeldObjectCorrection, suction: Suction
-) -> CompiledStepper | None:
+    built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: HeldObjectCorrection,
+    suction: Suction, servo: ArmServo,
+) -> CompiledStepper | None:  # fmt: skip
     """Return a stepper that advances the physics in compiled code, or None if MuJoCo's memory layout is
     unknown.
 
     The stepper reads MuJoCo's number of contacts at a fixed offset in mjData; `_count_is_found` checks this
     offset.
     """
-    return (
-        CompiledStepper(built, data, fingers, holding, suction, _count(data)) if _count_is_found() else None
-    )
+    if not _count_is_found():
+        return None
+    return CompiledStepper(built, data, fingers, holding, suction, servo, _count(data))
 
 
 def _count(data: mujoco.MjData) -> NDArray[np.int32]:

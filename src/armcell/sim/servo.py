@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import mujoco
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from armcell.core import InputError
@@ -17,6 +18,27 @@ from armcell.sim.settings import PhysicsSettings
 F64 = NDArray[np.float64]
 
 AHEAD = 2.0  # [s] length of a batch
+
+TARGET, SPEED, INTEGRAL, TORQUE, KP, KI, KV, LOW, HIGH, FEEDFORWARD, WINDS_UP, DT = range(12)
+"""Rows of `ArmServo.law`."""
+
+
+@njit(cache=True)
+def drive_joints(law, at, qpos, qvel, ctrl):
+    """Write the torques of the arm servo for the next physics step to MuJoCo's controls.
+
+    Args:
+        law, at: `ArmServo.law` and `ArmServo.at`; the integral terms are changed in place.
+        qpos, qvel, ctrl: MuJoCo's positions, velocities and controls.
+    """
+    for j in range(at.shape[1]):
+        error = law[TARGET, j] - qpos[at[0, j]]
+        total = law[INTEGRAL, j] + law[KI, j] * error * law[DT, j]
+        clamped = min(max(total, law[LOW, j]), law[HIGH, j])
+        law[INTEGRAL, j] = total if law[WINDS_UP, j] else clamped
+        damping = law[KV, j] * (law[SPEED, j] - qvel[at[1, j]])
+        effort = law[KP, j] * error + damping + clamped + law[FEEDFORWARD, j] * law[SPEED, j]
+        ctrl[at[2, j]] = effort if np.isnan(law[TORQUE, j]) else law[TORQUE, j]
 
 
 class JointTargets:
@@ -73,27 +95,33 @@ class ArmServo:
     """Servo for the arm joints: a controller that tracks their targets by writing MuJoCo's controls.
 
     With arm control "torque", the controls are torques [Nm or N], which `update` computes before every step.
+
+    Attributes:
+        law: (12, n) state and gains of the computed joints for `drive_joints`; n is 0 without such joints.
+        at: (3, n) their indices in MuJoCo's qpos, qvel and ctrl.
     """
 
     def __init__(self, built: BuiltModel, settings: PhysicsSettings):
         arm = np.flatnonzero(built.pos_ctrl >= 0)  # columns in the model's joint order
         self._at = {int(c): i for i, c in enumerate(arm)}
         self.columns = tuple(self._at)
-        self._qpos, self._dofs = built.qpos[arm], built.dofs[arm]
         self._pos, self._vel = built.pos_ctrl[arm], built.vel_ctrl[arm]
         self.computed = settings.arm_control == "torque"
         self._feeds_velocity = bool(len(arm)) and bool(self._vel[0] >= 0)
-        self.target, self.speed, self.integral = (np.zeros(len(arm)) for _ in range(3))
-        self._torque = np.full(len(arm), np.nan)  # [Nm or N] direct efforts; nan: the PID law controls
-        self._dt = settings.timestep
         model = built.scene.model
         joints = [model.joints[model.joint_names[c]] for c in arm]
-        drives = [effective_gains(joint, settings) for joint in joints]
-        self._kp, self._ki, self._kv, self._low, self._high = (
-            np.array([drive[:5] for drive in drives], dtype=np.float64).reshape(-1, 5).T
+        law = np.zeros((12, len(arm)))
+        for column, joint in zip(law.T, joints, strict=True):
+            gains = effective_gains(joint, settings)
+            column[KP : HIGH + 1], column[WINDS_UP] = gains[:5], gains.winds_up
+            column[FEEDFORWARD] = gains.feedforward
+        law[TORQUE], law[DT] = np.nan, settings.timestep  # direct efforts; nan: the PID law controls
+        self.target, self.speed, self.integral, self._torque = self._state = law[: TORQUE + 1]
+        driven = slice(None) if self.computed else slice(0)
+        self.law = law if self.computed else np.zeros((12, 0))
+        self.at = np.ascontiguousarray(
+            np.stack([built.qpos[arm], built.dofs[arm], self._pos]).astype(np.int64)[:, driven]
         )
-        self._winds_up = np.array([drive.winds_up for drive in drives], dtype=bool)
-        self._feedforward = np.array([drive.feedforward for drive in drives])
 
     def controls(self, columns: list[int]) -> Controls:
         """Return the indices of the arm servo's joints among MuJoCo's controls, given their indices in model
@@ -140,16 +168,10 @@ class ArmServo:
 
     def update(self, data: mujoco.MjData) -> None:
         """Compute the torques of the arm servo for the next step and write them to MuJoCo's controls."""
-        error = self.target - data.qpos[self._qpos]
-        self.integral += self._ki * error * self._dt
-        clamped = np.clip(self.integral, self._low, self._high)
-        self.integral = np.where(self._winds_up, self.integral, clamped)
-        damping = self._kv * (self.speed - data.qvel[self._dofs])
-        law = self._kp * error + damping + clamped + self._feedforward * self.speed
-        data.ctrl[self._pos] = np.where(np.isnan(self._torque), law, self._torque)
+        drive_joints(self.law, self.at, data.qpos, data.qvel, data.ctrl)
 
-    def get_state(self) -> tuple[F64, ...]:
-        return self.target.copy(), self.speed.copy(), self.integral.copy(), self._torque.copy()
+    def get_state(self) -> F64:
+        return self._state.copy()
 
-    def set_state(self, state: tuple[F64, ...]) -> None:
-        self.target, self.speed, self.integral, self._torque = (values.copy() for values in state)
+    def set_state(self, state: F64) -> None:
+        self._state[:] = state

@@ -15,6 +15,7 @@ from numba import njit, types
 
 from armcell.sim.array_pointers import matrix, vector
 from armcell.sim.friction import HOLDING, carry, holding
+from armcell.sim.servo import drive_joints
 from armcell.sim.suction import draw_vacuum
 
 SET_POINT, TARGET, LEAD, STEP, PUSH_STEP, BLOCKED_LEAD, CONTROL = range(7)
@@ -36,7 +37,7 @@ _I4, _I8, _F8, _B = np.int32, np.int64, np.float64, np.bool_
 FIXED = (
     _I4, _F8, _F8, _F8, _F8, _I8, _F8,
     _I8, _F8, _F8, _I8, _F8, _F8, _B, _B, _F8, _F8, _I8, _I8, _I8, _I4, _I4, _I8, _I4, _I4, _F8,
-    *HOLDING, _F8, _I8, _I8, _I8, _I8,
+    *HOLDING, _F8, _I8, _I8, _I8, _I8, _F8, _F8, _I8,
 )  # fmt: skip
 """Types of the arrays that `take_steps` takes by address."""
 
@@ -184,7 +185,7 @@ def take_steps(
         begin, end: number of the first step, and number after the last step.
         fixed: `addresses_of` the number of contacts (1,), a live view; MuJoCo's qpos and ctrl; the geoms'
             centers (geom, 3); law, joints and weights of `drive_fingers`; `PairCulling.arrays`;
-            `HeldObjectCorrection.arrays`; `Suction.arrays`.
+            `HeldObjectCorrection.arrays`; `Suction.arrays`; MuJoCo's qvel; `law` and `at` of `ArmServo`.
         pairs: (c, 2) geoms of each contact, a live view; only the first `readable` rows may be read.
         readable: number of readable rows of `pairs`.
         unwanted: (geom, geom) True where two geoms must not touch.
@@ -205,6 +206,7 @@ def take_steps(
         matrix(fixed, 40, _F8), vector(fixed, 41, _I8), vector(fixed, 42, _I8), matrix(fixed, 43, _I8),
         matrix(fixed, 44, _I8),
     )  # fmt: skip
+    qvel, servo, at = vector(fixed, 45, _F8), matrix(fixed, 46, _F8), matrix(fixed, 47, _I8)
     for step in range(begin, end):
         row = step // period
         if step % period == 0:
@@ -212,6 +214,7 @@ def take_steps(
                 ctrl[controls[i]] = targets[row, i]
         drive_fingers(law, joints, weights, qpos, ctrl)
         draw_vacuum(min(count[0], readable), pairs, hold[4], ctrl, cups)
+        drive_joints(servo, at, qpos, qvel, ctrl)
         unknown = _before(qpos, apart)
         _mj_step(model, data)
         if unknown:

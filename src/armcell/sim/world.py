@@ -63,7 +63,7 @@ class WorldSnapshot:
     equalities: tuple[Array, Array]
     fixed: Poses
     drives: tuple
-    servo: tuple
+    servo: Array
     slip: tuple
     welder: tuple
     holding: Array
@@ -129,14 +129,9 @@ class SimWorld:
         self._holding = HeldObjectCorrection(self.built, self.settings, self._data)
         holders, self._owner = self._holding.arrays[3:5]
         self._suction = Suction(self.built, self.settings.timestep, holders)
-        python = (
-            self._servo.computed or self.built.belts or self._slip or self.settings.grip_mode != "friction"
-        )
-        self._steps = (
-            None
-            if python
-            else compiled_steps(self.built, self._data, self._fingers, self._holding, self._suction)
-        )
+        python = self.built.belts or self._slip or self.settings.grip_mode != "friction"
+        parts = self._fingers, self._holding, self._suction, self._servo
+        self._steps = None if python else compiled_steps(self.built, self._data, *parts)
         self._driven = {j: n for n, g in self.built.grippers.items() for j in g.gripper.joint_names}
         self._columns: dict[tuple[str, ...], Any] = {}
         self.render_cache: Any = None  # used by render.py: copy of the scene with visual meshes
@@ -289,7 +284,7 @@ class SimWorld:
         _, controls, fingers, at = self._split(names)
         rows = targets.between(data.time, until)
         positions, velocities = rows[:, : len(names)], rows[:, len(names) :]
-        if self._steps is not None and self._steps.possible and not fingers:
+        if self._steps is not None and self._steps.possible and not (fingers or self._servo.computed):
             with self.lock:
                 used, errors = self._steps.follow(rows, targets.steps, tolerance, controls, at, self.monitor)
                 self._servo.command(data, controls, positions[used - 1], velocities[used - 1])
@@ -421,6 +416,14 @@ class SimWorld:
         """Return a gripper's width, finger force and held object in the simulated world."""
         self._gripper(gripper)
         return gripper_state(self.built, self.mj_data, self._suction, gripper)
+
+    def gripper_width(self, gripper: str) -> float:
+        """Return a gripper's width [m] in the simulated world, like `gripper_state` but much faster."""
+        index = self._gripper(gripper)
+        if not index.joints:
+            return self.gripper_state(gripper).width
+        column = self.built.joint_qpos[index.gripper.joint_name]
+        return index.gripper.width(self._data.qpos.item(column))
 
     def wrench(self, gripper: str) -> Array:
         """Return the wrench (6,) on a gripper in the simulated world, in N and Nm.

@@ -11,10 +11,19 @@ import numpy as np
 from armcell.drivers.franka import motion_limits
 from armcell.drivers.franka.wire import commands as wire
 from armcell.drivers.franka.wire.commands import Command, ConnectStatus, Protocol, SetterStatus
-from armcell.drivers.franka.wire.state import COMMANDS, INDEX, RobotCommand, StateMessage, read_command
+from armcell.drivers.franka.wire.state import (
+    COMMANDS,
+    FIELDS,
+    INDEX,
+    RobotCommand,
+    StateMessage,
+    read_command,
+)
 from armcell.emulators.franka.motion_generators import Reflex, elbow_of
 from armcell.emulators.franka.robot import Robot
 from armcell.emulators.network import Network, TcpConnection
+
+GRAVITY, NO_ELBOW_RATES = np.array([0.0, 0.0, -9.81]), np.zeros(4)  # O_ddP_O; delbow_c and ddelbow_c
 
 
 class StateWriter:
@@ -24,10 +33,11 @@ class StateWriter:
         self._robot, self._message = robot, StateMessage(version)
         m = self._message
         m["F_T_NE"] = robot.T_F_NE.T.ravel()
-        m["O_ddP_O"] = (0.0, 0.0, -9.81)
         if robot.plant.hand is not None:
             m["m_ee"], m["F_x_Cee"] = motion_limits.HAND_MASS, motion_limits.HAND_CENTER
             m["I_ee"] = np.diag(motion_limits.HAND_INERTIA).ravel()
+        self._frame, self._load = None, None  # parameters that the message has
+        self._moving = m.numbers[FIELDS["elbow"].start : FIELDS["dtheta"].stop]
 
     def write(self) -> bytes:
         """Copy the state of the emulated Franka arm into the state message, and return the bytes of the
@@ -36,23 +46,24 @@ class StateWriter:
         r, m = self._robot, self._message
         reference, motion = r.reference, r.motion
         cartesian = motion is not None and motion.generator.cartesian
-        wanted = r.O_T_EE_d
-        commanded = reference.T if cartesian else wanted
+        wanted, elbow = r.O_T_EE_d, elbow_of(reference.q)
         m["O_T_EE"], m["O_T_EE_d"] = r.O_T_EE.T.ravel(), wanted.T.ravel()
-        m["O_T_EE_c"] = commanded.T.ravel()
-        m["F_T_EE"], m["NE_T_EE"], m["EE_T_K"] = r.F_T_EE.T.ravel(), r.NE_T_EE.T.ravel(), r.EE_T_K.T.ravel()
-        m["m_load"], m["F_x_Cload"], m["I_load"] = r.load.mass, r.load.center, r.load.inertia
-        m["elbow"], m["elbow_d"] = r.elbow, elbow_of(reference.q)
-        m["elbow_c"] = reference.elbow if cartesian else elbow_of(reference.q)
-        m["tau_J"], m["tau_J_d"], m["dtau_J"] = r.plant.torques(), r.torque, r.torque_rate
-        m["q"], m["q_d"], m["dq"], m["dq_d"] = r.q, reference.q, r.dq, reference.dq
-        m["ddq_d"], m["theta"], m["dtheta"] = reference.ddq, r.q, r.dq
-        m["joint_contact"], m["cartesian_contact"] = r.joint_contact, r.cartesian_contact
-        m["joint_collision"], m["cartesian_collision"] = r.joint_collision, r.cartesian_collision
-        m["tau_ext_hat_filtered"] = r.tau_ext
-        m["O_F_ext_hat_K"], m["K_F_ext_hat_K"] = r.O_F_K, r.K_F_K
-        m["O_dP_EE_d"], m["O_dP_EE_c"] = reference.twist, reference.twist
-        m["O_ddP_EE_c"] = reference.dtwist
+        if self._frame is not r.F_T_EE or self._load is not r.load:
+            self._frame, self._load = r.F_T_EE, r.load
+            m["F_T_EE"], m["NE_T_EE"] = r.F_T_EE.T.ravel(), r.NE_T_EE.T.ravel()
+            m["EE_T_K"] = r.EE_T_K.T.ravel()
+            m["m_load"], m["F_x_Cload"], m["I_load"] = r.load.mass, r.load.center, r.load.inertia
+        np.concatenate(
+            (
+                r.elbow, elbow, r.plant.torques(), r.torque, r.torque_rate, r.q, reference.q, r.dq,
+                reference.dq, reference.ddq, r.joint_contact, r.cartesian_contact, r.joint_collision,
+                r.cartesian_collision, r.tau_ext, r.O_F_K, r.K_F_K, reference.twist, GRAVITY,
+                reference.elbow if cartesian else elbow, NO_ELBOW_RATES,
+                (reference.T if cartesian else wanted).T.ravel(), reference.twist, reference.dtwist,
+                r.q, r.dq,
+            ),
+            out=self._moving, casting="same_kind",
+        )  # fmt: skip
         for flags, names in ((m.errors, r.errors), (m.reflex_reason, r.last_errors)):
             flags[:] = 0
             for name in names:

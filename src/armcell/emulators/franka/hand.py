@@ -55,7 +55,7 @@ class Hand:
     def width(self) -> float:
         if self._plant.hand is None:
             return 0.0
-        return self._plant.world.gripper_state(self._plant.hand.name).width
+        return self._plant.world.gripper_width(self._plant.hand.name)
 
     @property
     def max_width(self) -> float:

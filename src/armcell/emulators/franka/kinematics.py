@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from xml.sax.saxutils import quoteattr
 
-import mujoco
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, InputError
@@ -37,6 +37,124 @@ def arm_joints(model: RobotModel, group: str) -> tuple[str, ...]:
     return names
 
 
+@njit(cache=True)
+def _multiply(T, step):
+    """Multiply a pose (4, 4) in the kinematics of a Franka arm by another pose from the right, in place."""
+    for r in range(3):
+        a, b, c = T[r, 0], T[r, 1], T[r, 2]
+        for k in range(3):
+            T[r, k] = a * step[0, k] + b * step[1, k] + c * step[2, k]
+        T[r, 3] += a * step[0, 3] + b * step[1, 3] + c * step[2, 3]
+
+
+@njit("void(f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])", cache=True)
+def chain(steps, axes, q, tool, T, J):
+    """Compute the pose T (4, 4) of a frame fixed to the last link of an emulated Franka arm, and the Jacobian
+    J (6, 7) of its origin, linear rows first. Both are in the base frame O.
+
+    Args:
+        steps, axes: poses (8, 4, 4) of the joints and the flange in their parents, joint axes (7, 3).
+        q: joint positions (7,) [rad].
+        tool: pose (4, 4) of the frame in the flange frame.
+    """
+    turn, origins = np.eye(4), np.empty((JOINTS, 3))
+    T[:] = np.eye(4)
+    for i in range(JOINTS):
+        _multiply(T, steps[i])
+        x, y, z = axes[i, 0], axes[i, 1], axes[i, 2]
+        for r in range(3):
+            origins[i, r] = T[r, 3]
+            J[3 + r, i] = T[r, 0] * x + T[r, 1] * y + T[r, 2] * z
+        s, c = np.sin(q[i]), np.cos(q[i])
+        t = 1.0 - c
+        turn[0, 0], turn[0, 1], turn[0, 2] = c + t * x * x, t * x * y - s * z, t * x * z + s * y
+        turn[1, 0], turn[1, 1], turn[1, 2] = t * x * y + s * z, c + t * y * y, t * y * z - s * x
+        turn[2, 0], turn[2, 1], turn[2, 2] = t * x * z - s * y, t * y * z + s * x, c + t * z * z
+        _multiply(T, turn)
+    _multiply(T, steps[JOINTS])
+    _multiply(T, tool)
+    for i in range(JOINTS):
+        x, y, z = T[0, 3] - origins[i, 0], T[1, 3] - origins[i, 1], T[2, 3] - origins[i, 2]
+        J[0, i] = J[4, i] * z - J[5, i] * y
+        J[1, i] = J[5, i] * x - J[3, i] * z
+        J[2, i] = J[3, i] * y - J[4, i] * x
+
+
+@njit(cache=True)
+def _wrench(J, torque, felt):
+    """Solve J J^T w = J tau for the wrench on a Franka arm, and write it to `felt` (6,). The wrench is zero
+    near singularities, where det(J J^T) < 1e-8.
+    """
+    A, determinant = np.zeros((6, 7)), 1.0
+    for r in range(6):
+        for k in range(JOINTS):
+            A[r, 6] += J[r, k] * torque[k]
+            for c in range(6):
+                A[r, c] += J[r, k] * J[c, k]
+    felt[:] = 0.0
+    for i in range(6):  # Gaussian elimination; a positive definite matrix needs no pivoting
+        determinant *= A[i, i]
+        if not A[i, i] > 0.0:
+            return
+        for r in range(i + 1, 6):
+            for c in range(6, i - 1, -1):
+                A[r, c] -= A[r, i] / A[i, i] * A[i, c]
+    if determinant < 1e-8:
+        return
+    for i in range(5, -1, -1):
+        for c in range(i + 1, 6):
+            A[i, 6] -= A[i, c] * felt[c]
+        felt[i] = A[i, 6] / A[i, i]
+
+
+@njit("f8[::1](f8[:,::1])", cache=True)
+def rotation_log(R):
+    """Return the rotation vector (3,) [rad] of a rotation (3, 3) of less than half a turn,
+    for the kinematics of Franka arms.
+    """
+    axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    if sine < 1e-12:
+        return axis
+    return axis * (np.arctan2(sine, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)) / sine)
+
+
+@njit(cache=True)
+def measure(steps, axes, q_d, q, F_T_EE, F_T_K, torque, poses, wrenches):
+    """Compute the Cartesian state of an emulated Franka arm.
+
+    Args:
+        steps, axes: see `chain`.
+        q_d, q: desired and measured joint positions (7,) [rad].
+        F_T_EE, F_T_K: end effector and stiffness frame (4, 4) in the flange frame.
+        torque: external joint torques (7,) [Nm].
+        poses: (2, 4, 4) transposes of O_T_EE_d and O_T_EE, changed in place.
+        wrenches: (2, 6) O_F_K and K_F_K [N, Nm], changed in place.
+    Returns:
+        Distance [m] and angle [rad] between the desired and the measured end effector.
+    """
+    wanted, T, J, turn = np.empty((4, 4)), np.empty((4, 4)), np.empty((6, JOINTS)), np.zeros((3, 3))
+    chain(steps, axes, q_d, F_T_EE, wanted, J)
+    chain(steps, axes, q, F_T_EE, T, J)
+    off = 0.0
+    for r in range(4):
+        for c in range(4):
+            poses[0, c, r], poses[1, c, r] = wanted[r, c], T[r, c]
+    for r in range(3):
+        off += (wanted[r, 3] - T[r, 3]) ** 2
+        for c in range(3):
+            turn[r, c] = wanted[r, 0] * T[c, 0] + wanted[r, 1] * T[c, 1] + wanted[r, 2] * T[c, 2]
+    chain(steps, axes, q, F_T_K, T, J)
+    _wrench(J, torque, wrenches[0])
+    wrenches[1] = 0.0
+    for r in range(3):
+        for k in range(3):
+            wrenches[1, r] += T[k, r] * wrenches[0, k]
+            wrenches[1, 3 + r] += T[k, r] * wrenches[0, 3 + k]
+    x, y, z = rotation_log(turn)
+    return np.sqrt(off), np.sqrt(x * x + y * y + z * z)
+
+
 class ArmKinematics:
     """Forward kinematics and Jacobian of an emulated Franka arm, in the frame of its base (O).
 
@@ -45,58 +163,23 @@ class ArmKinematics:
     """
 
     def __init__(self, joints: Sequence[Joint]):
-        spec = mujoco.MjSpec()
-        body = spec.worldbody
-        for joint in joints:
-            T = joint.T_parent_joint
-            body = body.add_body(
-                name=joint.child, pos=T.translation, quat=T.rotation.quat_wxyz, mass=1.0,
-                inertia=[1.0, 1.0, 1.0], explicitinertial=True,
-            )  # fmt: skip
-            body.add_joint(name=joint.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=joint.axis)
-        body.add_site(name="flange", pos=T_LINK7_FLANGE.translation, quat=T_LINK7_FLANGE.rotation.quat_wxyz)
-        self._model = spec.compile()
-        self._data = mujoco.MjData(self._model)
-        self._tip = self._model.nbody - 1
-        self._jacobian = np.zeros((6, JOINTS))
-
-    def at(self, q: ArrayLike) -> None:
-        """Compute all frames in the kinematics of an emulated Franka arm at joint positions q (7,) [rad]."""
-        self._data.qpos[:] = q
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-
-    def flange(self) -> Array:
-        """Return the flange pose T_O_F (4, 4) from the kinematics of a Franka arm,
-        at the last computed positions.
-        """
-        T = np.zeros((4, 4))
-        T[:3, :3] = self._data.site_xmat.reshape(3, 3)
-        T[:3, 3] = self._data.site_xpos[0]
-        T[3, 3] = 1.0
-        return T
-
-    def jacobian(self, point: Array) -> Array:
-        """Return the Jacobian (6, 7) of a Franka arm's kinematics for a point fixed to the last link.
-        The linear rows come first.
-
-        The point is given in the base frame O [m].
-        """
-        mujoco.mj_jac(
-            self._model, self._data, self._jacobian[:3], self._jacobian[3:], np.asarray(point), self._tip
+        poses = [*(joint.T_parent_joint for joint in joints), T_LINK7_FLANGE]
+        self.geometry = (
+            np.array([T.matrix for T in poses]),
+            np.array([np.array(joint.axis) / np.linalg.norm(joint.axis) for joint in joints]),
         )
-        return self._jacobian
 
+    def pose_and_jacobian(self, q: Array, tool: Array) -> tuple[Array, Array]:
+        """Return the pose (4, 4) of a frame fixed to the flange of a Franka arm, and the Jacobian (6, 7) of
+        its origin, linear rows first.
 
-def rotation_log(R: Array) -> Array:
-    """Return the rotation vector (3,) [rad] of a rotation (3, 3) of less than half a turn,
-    for the kinematics of Franka arms.
-    """
-    axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-12:
-        return axis
-    return axis * (np.arctan2(sine, 0.5 * (np.trace(R) - 1.0)) / sine)
+        Args:
+            q: joint positions (7,) [rad].
+            tool: pose (4, 4) of the frame in the flange frame.
+        """
+        T, J = np.empty((4, 4)), np.empty((6, JOINTS))
+        chain(*self.geometry, q, tool, T, J)
+        return T, J
 
 
 def rotation_exp(w: Array) -> Array:

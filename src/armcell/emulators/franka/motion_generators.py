@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 import ruckig
+from numba import njit
 from numpy.typing import NDArray
 
 from armcell.drivers.franka.motion_limits import ELBOW_FLIP, FrankaLimits
@@ -74,12 +75,10 @@ class EndEffectorKinematics:
         """Return the end effector pose T_O_EE (4, 4) for a Franka
         motion generator at joint positions q (7,).
         """
-        self.kinematics.at(q)
-        return self.kinematics.flange() @ self.T_F_EE
+        return self.pose_and_jacobian(q)[0]
 
     def pose_and_jacobian(self, q: Array) -> tuple[Array, Array]:
-        T = self.pose(q)
-        return T, self.kinematics.jacobian(T[:3, 3])
+        return self.kinematics.pose_and_jacobian(q, self.T_F_EE)
 
 
 class Generator(Protocol):
@@ -116,24 +115,46 @@ def check_joints(
     Raises:
         Reflex: a limit is violated.
     """
-    ddq = (dq - reference.dq) / PERIOD
-    jerk = (ddq - reference.ddq) / PERIOD
-    position, speed, acceleration, change = names
     low, high = limits.velocity_range(q)
-    at = _first((q < limits.lower) | (q > limits.upper))
-    if at is not None:
-        raise Reflex(position, f"joint {at + 1} at {q[at]:.4f} rad")
-    slack = 2.0 * noise / PERIOD + 1e-3
-    at = _first((dq < low - slack) | (dq > high + slack))
-    if at is not None:
-        raise Reflex(speed, f"joint {at + 1} at {dq[at]:.3f} rad/s, limits {low[at]:.3f} to {high[at]:.3f}")
-    at = _first(np.abs(ddq) > limits.acceleration + 4.0 * noise / PERIOD**2)
-    if at is not None:
-        raise Reflex(acceleration, f"joint {at + 1}: {ddq[at]:.1f} rad/s^2")
-    at = _first(np.abs(jerk) > limits.jerk + 8.0 * noise / PERIOD**3)
-    if at is not None:
-        raise Reflex(change, f"joint {at + 1}: {jerk[at]:.0f} rad/s^3")
+    ddq, jerk = np.empty(JOINTS), np.empty(JOINTS)
+    kind, at = _violation(
+        q, dq, reference.dq, reference.ddq, limits.lower, limits.upper, low, high, limits.acceleration,
+        limits.jerk, noise, ddq, jerk,
+    )  # fmt: skip
+    if kind >= 0:
+        detail = (
+            f"joint {at + 1} at {q[at]:.4f} rad",
+            f"joint {at + 1} at {dq[at]:.3f} rad/s, limits {low[at]:.3f} to {high[at]:.3f}",
+            f"joint {at + 1}: {ddq[at]:.1f} rad/s^2",
+            f"joint {at + 1}: {jerk[at]:.0f} rad/s^3",
+        )
+        raise Reflex(names[kind], detail[kind])
     reference.q, reference.dq, reference.ddq = q, dq, ddq
+
+
+@njit(f"UniTuple(i8, 2)({', '.join(['f8[::1]'] * 10)}, f8, f8[::1], f8[::1])", cache=True)
+def _violation(q, dq, dq_before, ddq_before, lower, upper, low, high, most, jerkiest, noise, ddq, jerk):
+    """Check the next joint reference of a Franka motion generator: compute `ddq` and `jerk` (7,) in place.
+
+    Args:
+        lower, upper, low, high, most, jerkiest: limits (7,) of position, velocity, acceleration and jerk.
+    Returns:
+        Index of the first violated limit in the names of `check_joints`, and its joint; -1 and -1 without.
+    """
+    for j in range(JOINTS):
+        ddq[j] = (dq[j] - dq_before[j]) / PERIOD
+        jerk[j] = (ddq[j] - ddq_before[j]) / PERIOD
+    for kind in range(4):
+        for j in range(JOINTS):
+            slack = 2.0 * noise / PERIOD + 1e-3
+            if (
+                (kind == 0 and (q[j] < lower[j] or q[j] > upper[j]))
+                or (kind == 1 and (dq[j] < low[j] - slack or dq[j] > high[j] + slack))
+                or (kind == 2 and abs(ddq[j]) > most[j] + 4.0 * noise / PERIOD**2)
+                or (kind == 3 and abs(jerk[j]) > jerkiest[j] + 8.0 * noise / PERIOD**3)
+            ):
+                return kind, j
+    return -1, -1
 
 
 def _first(mask: NDArray[np.bool_]) -> int | None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -46,3 +47,19 @@ class Load:
     mass: float = 0.0
     center: Array = field(default_factory=lambda: np.zeros(3))
     inertia: Array = field(default_factory=lambda: np.zeros(9))
+
+
+@njit(cache=True)
+def compare(torque, force, lower_torque, lower_force, upper_torque, upper_force, contacts):
+    """Compare the external torques (7,) [Nm] and forces (6,) [N, Nm] on a Franka robot with its parameters.
+
+    Args:
+        lower_torque, ...: thresholds for contact (lower) and collision (upper).
+        contacts: (2, 13) 1 for each joint, then each axis, above its lower and its upper threshold, else 0;
+            changed in place.
+    """
+    for j in range(7):
+        contacts[0, j], contacts[1, j] = abs(torque[j]) > lower_torque[j], abs(torque[j]) > upper_torque[j]
+    for i in range(6):
+        contacts[0, 7 + i] = abs(force[i]) > lower_force[i]
+        contacts[1, 7 + i] = abs(force[i]) > upper_force[i]

@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 PERIOD = 0.001  # [s]
 FILTER = 30.0  # [Hz] cutoff of the external torques' low-pass filter
+SHARE = 1.0 - np.exp(-2.0 * np.pi * FILTER * PERIOD)  # of one step of the filter
 
 
 class FrankaPlant:
@@ -41,7 +42,8 @@ class FrankaPlant:
         self.links = set(world.robot.group(group).link_names) | {joints[0].parent}
         if self.hand is not None:
             self.links |= set(self.hand.hand_links)
-        self._base, self._tip = joints[0].parent, joints[-1].child
+        self._base, self._tip = world.built.body[joints[0].parent], joints[-1].child
+        self._fixed = world.mj_model.body_weldid[self._base] == 0
         self._dofs = world.built.dofs[world.robot.columns(self.names)]
         self._qpos = world.built.qpos[world.robot.columns(self.names)]
         self._payload = 0.0  # [kg] unknown to the controller
@@ -140,11 +142,12 @@ class FrankaPlant:
 
         The point is in the flange frame.
         """
-        self.kinematics.at(self.read()[0])
-        at = self.kinematics.flange()
-        R = self.world.link_pose(self._base).rotation.matrix
-        up = R.T @ -np.asarray(self.world.settings.gravity) * mass
-        return self.kinematics.jacobian(at[:3, :3] @ center + at[:3, 3])[:3].T @ up
+        point = np.eye(4)
+        point[:3, 3] = center
+        jacobian = self.kinematics.pose_and_jacobian(self.read()[0], point)[1]
+        data = self.world._data if self._fixed else self.world.mj_data
+        R = data.xmat[self._base].reshape(3, 3)
+        return jacobian[:3].T @ (R.T @ -np.asarray(self.world.settings.gravity) * mass)
 
     def take_unexpected_contacts(self) -> list[tuple[str, str]]:
         """Return the unexpected contacts (pairs of bodies) of the Franka plant since the last call.
@@ -185,8 +188,7 @@ class FrankaPlant:
         felt = data.qfrc_constraint[self._dofs].copy()
         if self.push.any():
             felt += self._tip_torque(self.push)
-        share = 1.0 - np.exp(-2.0 * np.pi * FILTER * PERIOD)
-        self._filtered = self._filtered + share * (self._weight() - felt - self._filtered)
+        self._filtered = self._filtered + SHARE * (self._weight() - felt - self._filtered)
 
     # --- faults ---
     def displace(self, q: ArrayLike) -> None:

@@ -25,7 +25,7 @@ from armcell.drivers.franka.wire.commands import (
 )
 from armcell.drivers.franka.wire.state import ControllerMode, GeneratorMode, RobotCommand, RobotMode
 from armcell.emulators.franka.impedance_control import Brake, Impedance, cartesian_impedance, joint_impedance
-from armcell.emulators.franka.kinematics import JOINTS, rotation_log
+from armcell.emulators.franka.kinematics import JOINTS, measure
 from armcell.emulators.franka.motion_generators import (
     CartesianMotion,
     EndEffectorKinematics,
@@ -39,7 +39,7 @@ from armcell.emulators.franka.motion_generators import (
     Reflex,
     elbow_of,
 )
-from armcell.emulators.franka.parameters import T_F_NE, Load, Thresholds
+from armcell.emulators.franka.parameters import T_F_NE, Load, Thresholds, compare
 from armcell.emulators.franka.plant import PERIOD, FrankaPlant
 
 log = logging.getLogger(__name__)
@@ -67,6 +67,8 @@ class Robot:
 
     def __init__(self, limits: FrankaLimits, plant: FrankaPlant):
         self.limits, self.plant = limits, plant
+        self._lowest, self._highest = limits.lower - LIMIT_MARGIN, limits.upper + LIMIT_MARGIN
+        self._too_fast = 1.2 * limits.velocity
         self.time = 0
         self.mode = RobotMode.IDLE
         self.errors: set[str] = set()
@@ -91,22 +93,20 @@ class Robot:
     # --- frames and measurements ---
     def _update_frames(self) -> None:
         self.F_T_EE = self.T_F_NE @ self.NE_T_EE
+        self._F_T_K = self.F_T_EE @ self.EE_T_K
         self.frames = EndEffectorKinematics(self.plant.kinematics, self.F_T_EE)
 
     def measure(self) -> None:
         """Update the measured state of the emulated Franka robot from the physics simulation."""
-        self.q, self.dq = (x.copy() for x in self.plant.read())
-        self.O_T_EE_d = self.frames.pose(self.reference.q)
-        self.O_T_EE, J = self.frames.pose_and_jacobian(self.q)
-        T_O_K = self.O_T_EE @ self.EE_T_K
-        carried = self.load_torque()
-        self.tau_ext = self.plant.external_torques() - carried
-        J = self.plant.kinematics.jacobian(T_O_K[:3, 3]) if carried.any() or self.EE_T_K[:3, 3].any() else J
-        gram = J @ J.T
-        singular = np.linalg.det(gram) < 1e-8
-        self.O_F_K = np.zeros(6) if singular else np.linalg.solve(gram, J @ self.tau_ext)
-        R = T_O_K[:3, :3].T
-        self.K_F_K = np.concatenate([R @ self.O_F_K[:3], R @ self.O_F_K[3:]])
+        self.q, self.dq = self.plant.read()
+        self.tau_ext = self.plant.external_torques() - self.load_torque()
+        poses, wrenches = np.empty((2, 4, 4)), np.empty((2, 6))
+        self._deviation = measure(
+            *self.plant.kinematics.geometry, self.reference.q, self.q, self.F_T_EE, self._F_T_K, self.tau_ext,
+            poses, wrenches,
+        )  # fmt: skip
+        self.O_T_EE_d, self.O_T_EE = poses[0].T, poses[1].T
+        self.O_F_K, self.K_F_K = wrenches
 
     def load_torque(self) -> Array:
         """Return the joint torques (7,) [Nm] with which the emulated
@@ -114,9 +114,7 @@ class Robot:
         """
         if self.load.mass == 0.0:
             return np.zeros(JOINTS)
-        torque = self.plant.load_torque(self.load.mass, self.load.center)
-        self.frames.pose(self.q)  # the kinematics are shared: restore them to the measured state
-        return torque
+        return self.plant.load_torque(self.load.mass, self.load.center)
 
     # --- one millisecond ---
     def step(self, commands: Sequence[RobotCommand]) -> None:
@@ -131,10 +129,10 @@ class Robot:
         before = self.torque
         self.torque = self._control()
         self.torque_rate = (self.torque - before) / PERIOD
-        applied = self.torque + self.load_torque()
+        applied, most = self.torque + self.load_torque(), self.limits.torque
         if self.mode is not RobotMode.GUIDING:
             applied = applied + self.plant.friction_torques()
-        self.plant.apply(np.clip(applied, -self.limits.torque, self.limits.torque))
+        self.plant.apply(np.minimum(np.maximum(applied, -most), most))
         self.plant.step()
         self.measure()
         try:
@@ -228,20 +226,21 @@ class Robot:
         """Check the state of the emulated Franka robot against the limits.
         Raise Reflex if one is violated.
         """
-        accelerating = bool(np.any(np.abs(self.reference.ddq) > MOVING))
+        accelerating = any(abs(x) > MOVING for x in self.reference.ddq.tolist())
         kind = "_acceleration" if accelerating else ""
-        torque, force = np.abs(self.tau_ext), np.abs(self.K_F_K)
-        self.joint_contact = (torque > self.thresholds.torque["lower" + kind]).astype(float)
-        self.cartesian_contact = (force > self.thresholds.force["lower" + kind]).astype(float)
+        torque, force, found = self.thresholds.torque, self.thresholds.force, np.empty((2, 13))
+        compare(
+            self.tau_ext, self.K_F_K, torque["lower" + kind], force["lower" + kind], torque["upper" + kind],
+            force["upper" + kind], found,
+        )  # fmt: skip
+        self.joint_contact, self.cartesian_contact = found[0, :JOINTS], found[0, JOINTS:]
         if self.mode is not RobotMode.MOVE:
             return
-        joint = torque > self.thresholds.torque["upper" + kind]
-        cartesian = force > self.thresholds.force["upper" + kind]
-        if cartesian.any():
-            self.cartesian_collision = cartesian.astype(float)
-            raise Reflex("cartesian_reflex", self.plant.contact())
-        if joint.any():
-            self.joint_collision = joint.astype(float)
+        if found[1].any():
+            if found[1, JOINTS:].any():
+                self.cartesian_collision = found[1, JOINTS:]
+                raise Reflex("cartesian_reflex", self.plant.contact())
+            self.joint_collision = found[1, :JOINTS]
             raise Reflex("joint_reflex", self.plant.contact())
         own = self.plant.links
         if (
@@ -250,7 +249,7 @@ class Robot:
             raise Reflex("self_collision_avoidance_violation", f"{pair[0]} and {pair[1]}")
         if self.outside_limits():
             raise Reflex("joint_position_limits_violation")
-        if np.any(np.abs(self.dq) > 1.2 * self.limits.velocity):
+        if (np.abs(self.dq) > self._too_fast).any():
             raise Reflex("joint_velocity_violation")
         self._check_deviation()
 
@@ -258,17 +257,14 @@ class Robot:
         motion = self.motion
         if motion is None or isinstance(motion.generator, MeasuredReference):
             return
-        wanted = self.O_T_EE_d
         translation, rotation, elbow = motion.request.path_deviation
-        off = float(np.linalg.norm(wanted[:3, 3] - self.O_T_EE[:3, 3]))
-        turned = float(np.linalg.norm(rotation_log(wanted[:3, :3] @ self.O_T_EE[:3, :3].T)))
+        off, turned = self._deviation
         if off > translation or turned > rotation or abs(self.reference.q[2] - self.q[2]) > elbow:
             raise Reflex("max_path_pose_deviation_violation", f"{off:.4f} m, {turned:.4f} rad")
 
     def outside_limits(self) -> bool:
         """Return whether a joint of the emulated Franka robot is beyond its position limits."""
-        low, high = self.limits.lower - LIMIT_MARGIN, self.limits.upper + LIMIT_MARGIN
-        return bool(np.any((self.q < low) | (self.q > high)))
+        return bool(((self.q < self._lowest) | (self.q > self._highest)).any())
 
     # --- motions ---
     def move(self, request: MoveRequest, answer: Callable[[MoveStatus], None]) -> None:

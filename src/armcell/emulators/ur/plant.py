@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core import SE3, SO3, InputError
+from armcell.core import SE3, SO3
 from armcell.drivers.ur.wire.kinematics import pose_of
 from armcell.drivers.ur.wire.models import ur_model
 from armcell.emulators.rack import SharedWorld
@@ -168,6 +168,7 @@ class PhysicsPlant:
         world = self.world
         self._names: Sequence[str] = world.robot.group(group).joint_names
         self._columns = world.robot.columns(tuple(self._names))
+        self._qpos, self._dofs = world.built.qpos[self._columns], world.built.dofs[self._columns]
         found = [g for g in world.robot.grippers.values() if g.arm_group == group]
         self._gripper = found[0] if found else None
         self._force = 0.0
@@ -191,11 +192,8 @@ class PhysicsPlant:
             self.world.monitor.allow(link, movable)  # a gripper may touch movable objects
 
     def read(self) -> tuple[F64, F64, F64]:
-        state = self.world.joint_state()
-        columns = self._columns
-        if state.velocities is None or state.efforts is None:
-            raise InputError("the shared world tells no speeds and efforts", hint="share a SimWorld")
-        return state.positions[columns], state.velocities[columns], state.efforts[columns]
+        data, qpos, dofs = self.world._data, self._qpos, self._dofs
+        return data.qpos[qpos], data.qvel[dofs], data.qfrc_actuator[dofs] + data.qfrc_gravcomp[dofs]
 
     def _rest(self) -> None:
         self._from = self._to = self.read()[0].copy()
@@ -243,6 +241,8 @@ class PhysicsPlant:
         if self._gripper is None:
             return NOTHING
         felt = self.world.wrench(self._gripper.name)
+        if not felt.any():
+            return NOTHING
         T_base_world = (self.world.link_pose(self._base) @ ABOUT_Z).inverse()
         R = T_base_world.rotation.matrix
         at = T_base_world.apply(self.world.link_pose(self._gripper.tcp_link).translation)

@@ -95,7 +95,7 @@ class Robot:
         self._feed_watchdog()
         wanted = 0.0 if self.runtime in (RuntimeState.PAUSING, RuntimeState.PAUSED) else self.slider
         step = self.period / RAMP
-        self.scaling += float(np.clip(wanted - self.scaling, -step, step))
+        self.scaling += min(max(wanted - self.scaling, -step), step)
         if self.runtime is RuntimeState.PAUSING and self.scaling <= 0.0:
             self.runtime = RuntimeState.PAUSED
         elif self.runtime is RuntimeState.RESUMING:
@@ -181,10 +181,10 @@ class Robot:
 
     def after_step(self) -> None:
         """Update the state of the emulated UR robot from the simulated arm, after each simulation step."""
-        speeds = self.plant.read()[1]
+        q, speeds, _ = self.plant.read()
         self.actual_qdd, self._speeds = (speeds - self._speeds) / self.period, np.array(speeds)
         detecting = self.time < self.detecting
-        self.history.append((self.plant.read()[0].copy(), self.force() if detecting else np.zeros(3)))
+        self.history.append((q.copy(), self.force() if detecting else np.zeros(3)))
         feels = self.compliance is not None or detecting
         touched = self.plant.contact(hand=not feels)
         if touched is not None and self.safety in MAY_MOVE and self.mode is RobotMode.RUNNING:
@@ -439,6 +439,8 @@ class Robot:
 
     def _wrench_about(self, tcp: list[float]) -> Array:
         force, torque, at = self.plant.wrench()
+        if not (force.any() or torque.any() or self.hand.any()):
+            return np.zeros(6)
         point = forward(self.dh, self.plant.read()[0], tcp)[:3, 3]
         hand_at = forward(self.dh, self.plant.read()[0], self.setpoint.tcp)[:3, 3]
         torque = torque + cross(at - point, force) + cross(hand_at - point, self.hand)

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, SO3
@@ -30,19 +31,29 @@ def frames_of(dh: Kinematics, q: ArrayLike) -> F64:
 # A controller computes about ten outputs from the same positions in each control step.
 @lru_cache(maxsize=64)
 def _frames_of(dh: Kinematics, q: bytes) -> F64:
-    angle = np.frombuffer(q) + dh.theta
-    c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(dh.alpha), np.sin(dh.alpha)
-    steps = np.zeros((6, 4, 4))
-    steps[:, 0] = np.stack((c, -s * ca, s * sa, dh.a * c), axis=1)
-    steps[:, 1] = np.stack((s, c * ca, -c * sa, dh.a * s), axis=1)
-    steps[:, 2, 1:] = np.stack((sa, ca, dh.d), axis=1)
-    steps[:, 3, 3] = 1.0
     frames = np.empty((7, 4, 4))
-    frames[0] = np.eye(4)
-    for i in range(6):
-        np.matmul(frames[i], steps[i], out=frames[i + 1])
+    _chain(np.frombuffer(q) + dh.theta, np.array((dh.a, dh.d, dh.alpha)), frames)
     frames.flags.writeable = False
     return frames
+
+
+@njit("void(f8[::1], f8[:,::1], f8[:,:,::1])", cache=True)
+def _chain(angles, dh, frames):
+    """Write T_base_i (7, 4, 4) of the DH frames of a UR arm to `frames`. `dh` (3, 6) are a, d and alpha."""
+    frames[:] = np.eye(4)
+    step = np.eye(4)
+    for i in range(6):
+        angle, a, alpha = angles[i], dh[0, i], dh[2, i]
+        c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)
+        step[0, 0], step[0, 1], step[0, 2], step[0, 3] = c, -s * ca, s * sa, a * c
+        step[1, 0], step[1, 1], step[1, 2], step[1, 3] = s, c * ca, -c * sa, a * s
+        step[2, 1], step[2, 2], step[2, 3] = sa, ca, dh[1, i]
+        for r in range(3):
+            for k in range(4):
+                total = 0.0
+                for m in range(4):
+                    total += frames[i, r, m] * step[m, k]
+                frames[i + 1, r, k] = total
 
 
 def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> F64:
