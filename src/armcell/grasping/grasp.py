@@ -104,8 +104,8 @@ def why_none(rejected: list[Rejection], covered: float) -> str:
 
 
 def rejection_sort_key(rejection: Rejection) -> tuple[int, float]:
-    """Return the sort key of a `Rejection`: candidates that passed more checks come first, then those that
-    failed the next check by less.
+    """Return the sort key of a `Rejection`. Candidates that passed more checks come first; at equal numbers
+    of checks, the candidate that missed the next limit by less comes first.
     """
     return -rejection.passed, rejection.excess
 

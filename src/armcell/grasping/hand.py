@@ -103,8 +103,8 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
 
 
 def _pad(left: Array, right: Array) -> Array:
-    """Return the x range and z range of the finger pads in a hand's box geometry, where both fingers meet
-    when the hand is closed.
+    """Return the x range and z range of the finger pads: the overlap of the left and right fingers' boxes
+    that meet when the hand closes.
     """
     inner = (
         left[left[:, 1] < left[:, 1].min() + AT_THE_PAD],

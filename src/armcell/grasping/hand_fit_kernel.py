@@ -88,8 +88,8 @@ def cast(origins, directions, triangles):
 
 @njit(cache=True)
 def _lowest(R, p, box, up, shift):
-    """Return the lowest coordinate along `up` that a box of the hand reaches, in the compiled check whether
-    the hand fits.
+    """Return the height [m] along `up` of the lowest point of one box of the hand. Part of the compiled check
+    whether the hand fits around an object.
 
     The box is moved by `shift` along the hand's y axis.
     """

@@ -157,8 +157,8 @@ def rotated_placement(
 
 
 def placement_axis(item: CollisionObject, placement: Placement) -> SE3:
-    """Return the frame T_world_axis of a placement, whose z axis is the surface normal through the center of
-    the placed object.
+    """Return T_world_axis of a placement: a frame at the placed object's center whose z axis is the normal of
+    the support surface.
     """
     up = SO3.between((0.0, 0.0, 1.0), placement.normal)
     along = placement.T_world_object.apply(_corners(item)) @ up.matrix
@@ -166,8 +166,8 @@ def placement_axis(item: CollisionObject, placement: Placement) -> SE3:
 
 
 def _corners(item: CollisionObject) -> Array:
-    """Return the surface points (n, 3) [m] that determine an object's extent in a placement, in the object's
-    frame.
+    """Return the vertices of an object's triangles, or the points of its cloud, (n, 3) [m] in the object's
+    frame. Placements compute the object's extent from them.
     """
     surface = surface_of(item)
     return surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
@@ -206,8 +206,8 @@ def _turns(item: CollisionObject, side: StablePose, frame: SE3) -> list[tuple[fl
 
 
 def _slope(frame: SE3) -> Array:
-    """Return the slope (2,) of the vertical relative to the normal of a tilted surface on which an object is
-    placed.
+    """Return the offset (2,), per meter of height, from a point's projection along the normal of a tilted
+    support surface to its vertical projection. Placements on tilted surfaces use it.
 
     The vertical through a point at height h above the surface meets the surface at h * slope from the
     point's projection along the normal, in the x and y axes of the surface.
@@ -315,7 +315,8 @@ def _stands_on(foot: Array, mass: Array, half: Array, whole: float) -> bool:
 
 
 def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
-    """Clip the base polygon (n, 2) of a placed object to the half-plane sign * coordinate <= limit.
+    """Clip the base polygon (n, 2) of a placed object at one edge of the support surface: keep the part where
+    `sign` times the coordinate on `axis` is at most `limit` [m].
 
     Sutherland and Hodgman's algorithm.
     """
@@ -330,7 +331,9 @@ def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
 
 
 def _yaw(R: SO3, upright: SO3) -> float:
-    """Return the yaw angle [rad] of a placement relative to an upright rotation of the object."""
+    """Return the yaw angle [rad] of the rotation that turns a placed object from the orientation `upright` to
+    the orientation R.
+    """
     return float((R @ upright.inverse()).rpy[2])
 
 

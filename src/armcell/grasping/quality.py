@@ -131,7 +131,8 @@ def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
 def robustness(
     item: CollisionObject, hand: Hand, grasp: Grasp, noise: Noise = Noise(), trials: int = 40, seed: int = 0
 ) -> float:
-    """Return the fraction (0 to 1) of evaluations with random errors in which a grasp holds its object.
+    """Return the fraction (0 to 1) of random trials in which a grasp holds its object. Each trial varies the
+    object's pose, friction and mass.
 
     A trial counts if the hand fits, the pads oppose each other within friction, and the force holds the
     weight.

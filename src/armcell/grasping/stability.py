@@ -83,7 +83,9 @@ def _simplex_areas(points: Array, simplices: NDArray[np.int32]) -> Array:
 
 
 def plane_axes(up: Array) -> tuple[Array, Array]:
-    """Return two unit directions (3,) that form a frame for a resting pose, in which `up` is the z axis."""
+    """Return the unit x and y axes (3,) of a frame whose z axis is `up`, the upward direction of an object's
+    resting pose.
+    """
     x = np.asarray(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]), dtype=np.float64)
     x /= np.linalg.norm(x)
     return x, np.asarray(np.cross(up, x), dtype=np.float64)

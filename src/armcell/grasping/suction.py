@@ -94,8 +94,8 @@ def find_seals(
 
 
 def _heights(T: Array, surface: Surface, hand: Hand, gripper: SuctionGripper) -> Array:
-    """Measure a surface under suction cups by rays along the tcp's z axis. Return the heights (k, c, RAYS +
-    INNER + 1) [m], which are infinite where a ray meets no surface.
+    """Return the distances (k, c, RAYS + INNER + 1) [m] from suction cups to a surface, along rays parallel
+    to the tcp's z axis. A distance is infinite if its ray does not hit the surface.
 
     The rays meet RAYS points around the ring of each cup, INNER points on a circle of half the cup's radius,
     and the cup's center.
@@ -140,8 +140,8 @@ def first_hits(origins, directions, radii, triangles, middles, reaches):
 
 @njit(cache=True)
 def _cup_hits(origins, dx, dy, dz, radius, triangles, middles, reaches, found):
-    """Update `found` (r,), the distance [m] along each ray of one suction cup to the first triangle that the
-    ray hits. See `first_hits`.
+    """Intersect the rays of one suction cup with triangles, and write the distance [m] along each ray to its
+    first hit to `found` (r,). The arguments are those of `first_hits`.
     """
     last = len(origins) - 1
     for t in range(len(triangles)):
@@ -248,15 +248,15 @@ class _Carried:
         self.lever = float(np.linalg.norm(np.cross(com - [*self._center, 0.0], down)))
 
     def strength(self, load: float, friction: float) -> float:
-        """Return the vacuum force [N] that suction cups need to hold a load [N]: its pull normal to the cups,
-        plus its tangential part divided by the friction coefficient.
+        """Return the vacuum force [N] that suction cups need to hold a load [N]: the load's pull normal to
+        the cups plus the load's tangential component divided by the friction coefficient.
         """
         along = float(np.linalg.norm(self._down[:2]))
         return max(load * (max(float(self._down[2]), 0.0) + along / friction), 1e-9)
 
     def tilt(self, load: float) -> float:
-        """Return the signed distance [m] of the contact pressure's center from the convex hull of the suction
-        cups' rings: positive outside (the object tilts off), negative inside.
+        """Return how far [m] the center of pressure is outside the convex hull of the suction cups (negative:
+        inside). If it is outside, the object tilts off the cups.
         """
         L = load * self._down
         moment = np.cross(self._com, L)
@@ -271,8 +271,8 @@ class _Carried:
 
 
 def _leak(gaps: Array, bulges: Array, stroke: Array) -> tuple[str, int, float]:
-    """Return why none of the cups in a suction grasp seals, how many checks the grasp passed, and by how much
-    [m] it failed the next check.
+    """Return the reason why no cup of a suction grasp seals, the number of checks that the grasp passed, and
+    the distance [m] by which its best cup missed the next check's limit.
     """
     if not np.isfinite(gaps).any():
         return "every cup is over an edge or a hole of the surface", 0, np.inf

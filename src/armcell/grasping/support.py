@@ -86,7 +86,9 @@ def _level_end(shape: Box | Cylinder, T: SE3) -> Iterator[Found]:
 
 
 def _level_face(mesh: Mesh, T: SE3) -> Iterator[Found]:
-    """Yield the level faces of a mesh that fill a rectangle along the world's axes, as support surfaces."""
+    """Yield the level areas of a mesh as support surfaces: axis-aligned rectangles in the world frame. An
+    area must nearly fill its bounding rectangle.
+    """
     triangles = T.apply(mesh.vertices)[mesh.faces]
     normal, area = _normals(triangles)
     level = (area > 0) & (normal[:, 2] > np.cos(LEVEL))
@@ -103,7 +105,9 @@ def _level_face(mesh: Mesh, T: SE3) -> Iterator[Found]:
 
 # --- tilted surfaces ---
 def _tilted(shape: object, T: SE3) -> Iterator[Found]:
-    """Yield those upward-facing sides of a shape that are not level, as support surfaces."""
+    """Yield the upward-facing but tilted sides of a shape as support surfaces. `_level` yields the level
+    sides.
+    """
     if isinstance(shape, Box | Cylinder):
         for axis in range(3) if isinstance(shape, Box) else (2,):
             z = T.rotation.matrix[2, axis]

@@ -72,8 +72,8 @@ def surface_of(item: CollisionObject) -> Surface:
 
 
 def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
-    """Return the surface of a point cloud (n, 3) [m].
-    Normals come from planes that are fitted locally to the points.
+    """Create a `Surface` (points and normals) from a point cloud (n, 3) [m]. Each normal is that of a plane
+    fitted to a point's nearest neighbors.
 
     Normals point away from the cloud's center, because a cloud seen from one side is a shell.
 

@@ -22,8 +22,8 @@ def _height(heights, x0, y0, resolution, x, y):
 
 @njit(cache=True)
 def _slope(x, y):
-    """Return the absolute slope of a line on a height map, as the median over pairs of points.
-    Used for grasps from above.
+    """Return the absolute slope of a piece's side on a height map, for grasps from above: the median slope
+    over all pairs of the side's points.
 
     The estimator (Theil and Sen) is robust against a few outliers, which cameras produce at edges.
     """

@@ -234,9 +234,7 @@ class InverseDynamics:
 
     @property
     def limits(self) -> Array:
-        """Torque limits of the joints (n,) [Nm or N] from the URDF, for the joints that inverse dynamics
-        moves.
-        """
+        """Torque limits (n,) [Nm or N] from the URDF, for joints whose torque inverse dynamics computes."""
         return self.model.limits(self.joint_names, "effort")
 
     def torque_coefficients(self, positions: Array, first: Array, second: Array) -> Array:

@@ -111,7 +111,8 @@ def find_package(package: str, base: Path) -> FoundPackage:
 
 
 def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
-    """Yield folders that can be the ROS package of a `package://` URI, nearest first.
+    """Yield candidate folders of the ROS package in a `package://` URI, in search order: above the robot
+    file, in the ROS search path, then in the workspace. The folder of `--package` comes first.
 
     Each folder comes with a flag: whether it is from the ROS search path or from pip's folders.
     """
@@ -138,7 +139,8 @@ def _ros_package_path() -> list[Path]:
 
 
 def _workspaces(base: Path) -> Iterator[Path]:
-    """Yield the folders that can hold a robot's ROS package and the repositories that it depends on.
+    """Yield folders that may contain a robot's ROS package and the other packages that this package depends
+    on.
 
     They are the folders above the package, up to the folder `src` of a colcon or catkin workspace.
     """

@@ -72,7 +72,9 @@ class Gripper:
         return f"opens {1000 * self.max_width:.0f} mm, {self.max_force:.0f} N per finger"
 
     def width_in(self, state: JointState) -> float:
-        """Return the opening [m] of a gripper in a joint state that contains its driven joint, if any."""
+        """Return the gap [m] between a gripper's fingers in a joint state, or `max_width` if the gripper has
+        no driven joint.
+        """
         return self.width(state[self.joint_name]) if self.joint_name else self.max_width
 
     def prefixed(self, prefix: str) -> Self:
@@ -121,8 +123,8 @@ class Gripper:
         return SE3.from_xyz(0.0, *(float(np.interp(width, self._table[1], self._table[k])) for k in (2, 3)))
 
     def grip_center(self, width: float, opening: float) -> SE3:
-        """Return T_tcp_center for grasping an object of a given `width` [m]. The gripper approaches the
-        object with the gap `opening` [m].
+        """Return T_tcp_center, the pose of the grip center in the tcp frame, for grasping an object of
+        `width` [m]. `opening` [m] is the gap between the jaws during the approach.
 
         A single moving jaw approaches with the object centered between the jaws.
         """

@@ -168,8 +168,8 @@ class _Reader:
         return RobotModel(name=name, root_link=root_link, links=links, joints=ordered, source=str(self.file))
 
     def without_links(self) -> str | None:
-        """Return a hint for a URDF file that has no links because it only defines macros: the files of its
-        package that include it.
+        """Return a hint for a URDF file that only defines macros and has no links. The hint names the xacro
+        files of the same package that include the file.
         """
         if b"macro" not in self.file.read_bytes():
             return None

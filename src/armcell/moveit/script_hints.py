@@ -119,8 +119,8 @@ def _points_up(T: SE3) -> bool:
 
 
 def _flange(model: RobotModel, group: str) -> str:
-    """Return the name of the link on which a group's gripper is mounted (the flange), which hints about
-    targets mention. Return an empty string if the group has no gripper.
+    """Return the name of the flange, the link on which a group's gripper is mounted, for hints about pose
+    targets. Return an empty string if the group has no gripper.
 
     MoveIt packages usually end the group at this link.
     """

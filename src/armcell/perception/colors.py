@@ -33,7 +33,8 @@ def _rgb(color: Sequence[float]) -> NDArray[np.float64]:
 
 
 def color_distance(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the distance between two colors from 0 to 1. It does not depend on brightness.
+    """Return the distance between two colors, a number from 0 to 1 that does not depend on the brightness of
+    the colors.
 
     The distance is half the sum of the differences of their red, green and blue fractions. Brightness is left
     out because it depends on the lighting.

@@ -97,7 +97,8 @@ def match_known(
 def _starts(
     evidence: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], solid: Solid, stands: bool
 ) -> list[SE3]:
-    """Return start poses for matching a known object, with each side of the object down in turn.
+    """Return start poses for matching a known object to camera points. The poses cover 24 axis-aligned
+    orientations, so that each of the object's six sides is down in some poses.
 
     Each pose is centered on the footprint of the camera's points and takes its yaw angle from the footprint.
     If `stands` is set, the object rests on z = 0. Otherwise its center is at the mean height of the points.
@@ -130,7 +131,8 @@ def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
 
 # --- symmetry ---
 def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
-    """Return the pose of a known object that is equivalent to its pose T and nearest to a prior pose.
+    """Return the pose nearest to `prior` among all poses in which a known, symmetric object looks the same as
+    at its pose T.
 
     Two poses are equivalent if the object looks the same in both of them because it is symmetric.
 
@@ -159,8 +161,8 @@ def _angle(a: SO3, b: SO3) -> float:
 
 
 def _spun(here: SO3, wanted: SO3) -> SO3:
-    """Return the rotation of a known object that is near its prior rotation `wanted` and has its z axis
-    parallel or antiparallel to the z axis of `here`.
+    """Return the rotation nearest to `wanted` whose z axis is parallel or antiparallel to the z axis of
+    `here`, for a known cylindrical object.
     """
     axis = here.matrix[:, 2]
     if axis @ wanted.matrix[:, 2] < 0:

@@ -193,8 +193,8 @@ def _names(known: Sequence[CollisionObject]) -> tuple[str, ...]:
 def _without(
     flat: F64, valid: NDArray[np.bool_], scene: PlanningScene | None, settings: LookSettings
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of the points that `look` uses: points off the robot and fixed objects,
-    and points above the surface.
+    """Return two masks of the points that `look` uses: points that are not on the robot or a fixed object,
+    and points that are above the support surface.
     """
     others, region = valid.copy(), np.ones(len(flat), bool)
     if scene is None:
@@ -289,8 +289,8 @@ class _ObjectCluster:
 def _beside(
     pixels: NDArray[np.int64], points: F64, eye: F64, ring: int, margin: float, size: tuple[int, int]
 ) -> tuple[F64, F64, float]:
-    """Return evidence for fitting an object to a cluster of points: camera rays (m, 3) that pass beside the
-    cluster, the free length (m,) [m] of each ray, and the occluded fraction of the cluster's outline.
+    """Return camera rays (m, 3) that pass beside a cluster of points, the length (m,) [m] over which each ray
+    is free, and the occluded fraction of the cluster's outline. Object fitting uses them.
 
     The outline is occluded where a nearer object or the image border cuts it off.
     """

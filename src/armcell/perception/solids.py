@@ -163,7 +163,8 @@ def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
 
 
 def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
-    """Compute a grid of signed distances to an object's shapes, as a solid that can be fitted to points.
+    """Compute a `Solid` for fitting an object to points: a grid of signed distances [m] from the surface of
+    the object's shapes.
 
     A node's distance is that to the plane of the nearest of many samples on the surface. Near the surface, a
     node is inside if it is behind the sample's triangle; elsewhere, if it is not connected to the outside.

@@ -168,8 +168,8 @@ def resolve_constraint_frames(validated: ValidatedRequest) -> ValidatedRequest |
 
 
 def in_robot_frames(scene: PlanningScene, constraints: Constraints) -> Constraints:
-    """Return a request's constraints after converting their frames to the world frame or to frames of links,
-    as a request adapter does.
+    """Return a request's constraints after converting every constraint frame to the world frame or a link's
+    frame. A request adapter calls it before planning.
 
     The frame of an attached object becomes the frame of the link that carries the object.
     """

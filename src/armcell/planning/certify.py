@@ -47,8 +47,8 @@ PADDED_ROUNDINGS = (
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotion:
-    """Result of certifying a planned path: if the path is collision-free, the certificate and the timed
-    motion, else only the failed certificate, which names the contact.
+    """Result of certifying a planned path. It contains the certificate and, if the path is collision-free,
+    the timed motion. A failed certificate names the contact.
     """
 
     certificate: Certificate

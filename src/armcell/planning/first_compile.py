@@ -160,8 +160,8 @@ def _plan_small_problem() -> None:
 
 
 def small_problem() -> tuple[KernelChecker, Array, Array]:
-    """Create a tiny planning problem for the warm-up: the collision checker of a gripper and two gripper
-    positions.
+    """Create a tiny problem that warms up (compiles) the planner: a gripper's collision checker, a start and
+    a goal position of the gripper joint (1,).
     """
     model = load_robot("parallel_gripper")
     checker = KernelChecker(PlanningScene.of(model), model.group("gripper").joint_names)

@@ -63,8 +63,8 @@ class MovedFrame:
         return T_world_name @ self.T_link_point.inverse()
 
     def velocity(self, q: ArrayLike, qd: ArrayLike) -> Array:
-        """Compute the world velocity (3,) [m/s] of the origin of this frame, given the positions q (n,) and
-        velocities qd (n,) of its group's joints.
+        """Compute the linear velocity (3,) [m/s, world] of the moved frame's origin from the positions q (n,)
+        and velocities qd (n,) of the planning group's joints.
         """
         full = self.full(q)
         twist = self.tree.jacobian(full, self.link, self.joint_names) @ np.asarray(qd)
@@ -85,8 +85,8 @@ BETWEEN = 4  # speed samples between two points of a trajectory
 
 
 def check_cartesian_speed(speed: float | None) -> None:
-    """Check that the Cartesian speed limit [m/s] of a moved frame is positive or None, else raise an
-    InputError.
+    """Check the Cartesian speed limit [m/s] of a frame that a planning group moves. Raise an InputError
+    unless the limit is a positive number or None.
     """
     if speed is not None and not (np.isfinite(speed) and speed > 0):
         raise InputError(f"max_cartesian_speed is {speed:g} m/s, it must be positive")
@@ -102,7 +102,9 @@ def limit_cartesian_speed(
 
 
 def peak_cartesian_speed(trajectory: JointTrajectory, moved_frame: MovedFrame) -> float:
-    """Compute the highest speed [m/s] that the origin of a moved frame reaches on a trajectory."""
+    """Compute the highest Cartesian speed [m/s] of a frame's origin along a trajectory. The frame is a robot
+    link or attached to one.
+    """
     times = trajectory.times
     fractions = np.arange(BETWEEN) / BETWEEN
     moments = np.append((times[:-1, None] + np.diff(times)[:, None] * fractions).ravel(), times[-1:])

@@ -166,8 +166,8 @@ class HeldObjectCorrection:
         self._qpos = data.qpos
 
     def forget(self) -> None:
-        """Discard the stored poses of hands that hold objects,
-        because the state has changed without a physics step.
+        """Discard the hand poses of the last physics step, from which the motion of held objects is
+        corrected. Call this after the state has changed without a physics step.
         """
         self._past[:, 0] = 0.0
 
@@ -188,8 +188,8 @@ class HeldObjectCorrection:
 
 
 def lag(settings: PhysicsSettings) -> float:
-    """Return the ratio of a held object's lag behind the moving hand to the distance between the hand's arc
-    and its tangent, in one physics step.
+    """Return the factor for computing how far a held object lags behind a hand that moves on an arc, in one
+    physics step.
 
     The lag per physics step dt is this factor times dt^2/2 dJ/dt v, the distance between the hand's arc and
     its tangent. J is the Jacobian of the contact, and v are the generalized velocities. The factor is 0 for
@@ -206,8 +206,8 @@ def lag(settings: PhysicsSettings) -> float:
 
 
 def _impratio(mj: mujoco.MjModel) -> F64:
-    """Return a view (1,) of MuJoCo's option `impratio`, through which it can be changed.
-    Used to correct the creep of held objects.
+    """Return a writable view (1,) of MuJoCo's option `impratio`. The correction of held objects changes the
+    option through this view.
 
     The result is a private array if the memory layout is unknown.
     """
@@ -221,8 +221,8 @@ def _view(address: int) -> F64:
 
 @cache
 def _offset() -> int:
-    """Return the memory offset, in doubles, of MuJoCo's option `impratio` from `gravity`, the option whose
-    address is available. Changing `impratio` for held objects requires this offset.
+    """Return the distance in memory, in doubles, from MuJoCo's option `gravity` to its option `impratio`. The
+    correction of held objects needs this offset to change `impratio`.
 
     The result is 0 if the memory layout is unknown.
 
@@ -238,8 +238,8 @@ def _offset() -> int:
 
 @njit(cache=True)
 def holding(fixed, k):
-    """Return the arrays of `HeldObjectCorrection` for the compiled physics step. The table `fixed` contains
-    their memory addresses.
+    """Return the arrays of `HeldObjectCorrection` in the compiled physics step, reconstructed from their
+    memory addresses in the table `fixed`.
 
     Row k of the table contains the address of the first array, and the next rows those of the others.
     """

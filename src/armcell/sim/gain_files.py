@@ -106,8 +106,8 @@ class _Reader:
         return {n: entry["pid"] for n, entry in own.items() if isinstance(entry, Mapping) and "pid" in entry}
 
     def rank(self, place: str, kind: str, node: Mapping) -> int | None:
-        """Return the rank of a ros_control controller's gains, or None for a velocity controller.
-        If several controllers have gains for a joint, the gains with the highest rank apply.
+        """Return the priority of the gains of a ros_control controller, or None for a velocity controller. If
+        several controllers have gains for the same joint, the gains with the highest priority apply.
         """
         interfaces = node.get("command_interfaces") or node.get("command_interface") or []
         interfaces = [interfaces] if isinstance(interfaces, str) else interfaces
@@ -325,8 +325,8 @@ def gain_values(gains: str | Path, model: RobotModel, folder: Path = Path()) -> 
 def with_gains(
     settings: PhysicsSettings, gains: str | Path, model: RobotModel, folder: Path = Path()
 ) -> PhysicsSettings:
-    """Return a copy of physics settings in which a named gain set or a gain file replaces the arm control and
-    the joint gains.
+    """Return a copy of the physics settings, changed by a named gain set or a gain file: the arm control
+    mode, the joint gains and related settings.
 
     See `gain_values`. The result does not keep any `joint_gains` of `settings`.
     """

@@ -45,8 +45,8 @@ CONTROL = sum(
 @dataclass(frozen=True)
 @checked()
 class TrialSettings:
-    """Durations and motions in a simulated grasp trial, in which a hand without an arm closes,
-    settles, lifts, shakes and holds.
+    """Settings of a simulated grasp trial: durations and motions of the phases in which a hand without an arm
+    closes, settles, lifts, shakes and holds the object.
     """
 
     timestep: float = 0.004  # [s]
@@ -247,7 +247,8 @@ class _World:
         return tuple(np.flatnonzero(self.suction.sealed == self.built.owner_index[OBJECT]).tolist())
 
     def _leaks(self, plan: _Plan, state: Array) -> bool:
-        """Return whether a cup of a suction gripper leaks during a grasp trial. Jaws never do.
+        """Return whether a suction cup of the gripper leaks during a grasp trial. The result is False for
+        grippers with jaws.
 
         MuJoCo's threads do not switch the vacuum of a leaking cup off, so a leak counts as a lost object.
         """

@@ -21,7 +21,8 @@ INTEGRAL_SHARE = 0.2  # largest integral effort as a fraction of the effort limi
 @dataclass(frozen=True)
 @checked()
 class JointGains:
-    """PID gains of one joint. They apply without scaling by `full_gain_effort`.
+    """PID gains of one joint. The simulation uses these gains unchanged; the setting `full_gain_effort` does
+    not scale them.
 
     Effort = p e + clamp(i ∫e) + d (target speed - speed) + ff_velocity_scale * target speed, with
     e = target - position. The control law and the names are those of ros_control's `control_toolbox::Pid`.
@@ -150,8 +151,8 @@ def effective_gains(joint: Joint, settings: PhysicsSettings) -> EffectiveGains:
 
 
 def arm_joints(model: RobotModel) -> list[str]:
-    """Return the joints that have arm gains, in model order.
-    They are all actuated joints outside the grippers.
+    """Return the names of the joints that have arm gains, in model order: all actuated joints of the robot
+    except the gripper joints.
     """
     fingers = {name for gripper in model.grippers.values() for name in gripper.joint_names}
     return [name for name in model.joint_names if name not in fingers]

@@ -57,7 +57,9 @@ def _no_lease() -> None:
 
 
 class _PooledModel:
-    """A compiled MuJoCo model in the model pool in its original state, with one copy that can be leased."""
+    """Compiled MuJoCo model that the model pool keeps unchanged, and a copy of the model that one scene at a
+    time can lease.
+    """
 
     def __init__(self, built: BuiltModel):
         self._built = built
@@ -68,8 +70,8 @@ class _PooledModel:
         self, scene: PlanningScene, objects: dict[str, CollisionObject], loose: list[CollisionObject],
         settings: PhysicsSettings,
     ) -> ModelLease | None:  # fmt: skip
-        """Lease the copy of a MuJoCo model from the model pool for a scene.
-        Return None if the copy is already leased.
+        """Lease this pooled MuJoCo model's copy and set it up for a scene. Return None if the copy is already
+        leased.
         """
         if self._lease() is not None:
             return None
@@ -100,7 +102,8 @@ _lock = threading.Lock()  # makes checking and leasing a model atomic
 
 
 def lease_model(scene: PlanningScene, settings: PhysicsSettings) -> ModelLease:
-    """Lease a compiled MuJoCo model with data for a scene. It comes from the model pool if possible.
+    """Lease a compiled MuJoCo model and its `MjData` for the simulation of a scene. The model pool provides
+    the model if possible; otherwise, the model is compiled.
 
     The model equals that of `build(scene, settings)`.
     """

@@ -118,8 +118,8 @@ def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def _plain(model: mujoco.MjModel, body: int) -> bool:
-    """Return whether contact tests of a body can be skipped while other bodies are far away. Its geoms need
-    default masks and known distance functions.
+    """Return whether contact tests of a body can be skipped while other bodies are far away. This requires
+    default collision masks and known distance functions for all geoms of the body.
 
     A body without geoms yields False.
     """

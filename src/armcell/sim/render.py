@@ -194,8 +194,8 @@ class _DrawnScene:
         return SE3.identity() if name == WORLD else body_pose(self.data, self.built.body[name])
 
     def _checker(self, camera: Camera, distance: NDArray, seen: NDArray, plane: int) -> NDArray:
-        """Return the brightness (n,) of points on an infinite plane.
-        Rendered images show the plane with a checkerboard pattern.
+        """Return the brightness factors (n,) of points on an infinite plane. The factors give the plane a
+        checkerboard pattern in rendered images.
 
         The checkerboard fades with the distance from the camera.
         """

@@ -51,8 +51,8 @@ class PhysicsState:
             return PhysicsState(data.time, data.qpos.copy(), (model.body_pos.copy(), model.body_quat.copy()))
 
     def put_into(self, world: SimWorld) -> None:
-        """Apply the copied state to a simulated world with the same
-        scene and settings, in a render process.
+        """Copy this physics state into the simulated world of a render process, which has the same scene and
+        settings.
         """
         model, data = world.mj_model, world.mj_data
         data.time, data.qpos[:] = self.time, self.qpos

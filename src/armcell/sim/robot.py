@@ -130,8 +130,8 @@ def _finger_scales(model: RobotModel) -> dict[str, float]:
 
 
 def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings, scale: float = 1.0) -> None:
-    """Add a joint to the body of a simulated robot. `scale` converts
-    settings for sliding fingers to those for a rotating finger.
+    """Add a joint to a body of a simulated robot. `scale` [m/rad] adapts armature and damping to a rotating
+    finger; it is 1 for other joints.
     """
     types = mujoco.mjtJoint
     limited = bool(np.isfinite(joint.limits.lower) and np.isfinite(joint.limits.upper))
@@ -155,8 +155,8 @@ def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings, scale: float 
 
 
 def _massless_carriers(model: RobotModel) -> set[str]:
-    """Return the massless moving links of a simulated robot: child links of movable joints. The links fixed
-    to them have no mass either.
+    """Return the links of a simulated robot that move but have no mass: the child links of movable joints for
+    which neither the link nor any link fixed to it has a mass.
 
     MuJoCo rejects moving bodies without mass.
     """
@@ -294,8 +294,8 @@ def _coupling(model: RobotModel, name: str, driven: str) -> tuple[float, float]:
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """Return the finger joints of a robot's gripper with their weights in MuJoCo: the driven joint, and the
-    joints that mimic it without an offset.
+    """Return the finger joints of a simulated gripper with their weights in the mean finger position: the
+    driven joint, and the joints that mimic it with zero offset.
 
     The weighted sum of their positions is the mean finger position. Equalities move the other joints.
     """

@@ -124,8 +124,8 @@ class ArmServo:
         )
 
     def controls(self, columns: list[int]) -> Controls:
-        """Return the indices of the arm servo's joints among MuJoCo's controls, given their indices in model
-        order.
+        """Convert the indices of arm joints in model order (`columns`) to their indices in `ArmServo.target`
+        and in MuJoCo's position and velocity controls.
         """
         at = np.array([self._at[c] for c in columns], dtype=int)
         return at, self._pos[at], self._vel[at]

@@ -37,7 +37,7 @@ CUP_LAW = 4
 
 
 class Suction:
-    """Vacuum of all simulated suction cups, with the arrays that the compiled stepper uses.
+    """Vacuum simulation of all suction cups. The compiled physics stepper uses its arrays.
 
     Attributes:
         law: (c, 4) one row per cup: whether the vacuum is on, its level from 0 to 1, the share of the missing
@@ -97,7 +97,9 @@ class Suction:
         return float(self.law[k, LEVEL]) * self._grippers[cup.gripper].force(cup.cup) if seals else 0.0
 
     def add_pull(self, gripper: str, data: mujoco.MjData, origin: Array, total: Array) -> None:
-        """Add the wrench of a gripper's vacuum on its hand, about `origin` (3,), to `total` (6,)."""
+        """Add the vacuum forces of a gripper's suction cups to the wrench `total` (6,) on the hand, about the
+        point `origin` (3,).
+        """
         for k in self.rows(gripper):
             body = self._cups[k].body
             force = self.pull(k) * data.xmat[body][2::3]

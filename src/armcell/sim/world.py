@@ -592,8 +592,8 @@ class SimWorld:
         return tuple(self._welder.events)
 
     def watch_slip(self, item: str, gripper: str) -> None:
-        """Store the current pose of an object in a gripper of the simulated world,
-        so that `slip` can measure from it.
+        """Store the current pose of an object relative to a gripper in the simulated world, as the reference
+        from which `slip` measures.
         """
         self._object(item)
         index = self._gripper(gripper)

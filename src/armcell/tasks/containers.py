@@ -98,8 +98,8 @@ def _need_some(name: str, stages: tuple[Stage, ...]) -> None:
 
 
 def _either(stages: tuple[Stage, ...], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Check the interfaces of a container's alternative stages, and collect their problems. Later stages may
-    use only the data that are available after every alternative.
+    """Check the interfaces of alternative stages in a container, and collect the problems of all
+    alternatives. Later stages may use only data that every alternative leaves available.
     """
     results = [single(stage, have, scene) for stage in stages]
     return InterfaceCheck(
@@ -192,8 +192,8 @@ class Merger:
     def _unproven(
         self, scene: PlanningScene, motions: Sequence[Motion], grips: Sequence[CommandGripper]
     ) -> str:
-        """Check whether the motions that a merger combines are certified to run at the same time. Return the
-        reason if they are not, else an empty text.
+        """Check whether the motions that a merger would run at the same time are certified collision-free.
+        Return the reason if they are not, else an empty text.
         """
         if len(motions) > 1:
             trajectories = [m.trajectory for m in motions]
@@ -215,8 +215,8 @@ class Merger:
 def _choices(
     solution: PartialSolution, planning: SearchState, stages: Sequence[Stage]
 ) -> Iterator[tuple[PartialSolution, ...]]:
-    """Yield every combination of the proposals of the stages in a merger, with one proposal per stage. Every
-    stage starts from the partial solution `solution`.
+    """Yield all combinations of proposals in a merger, with one proposal from each stage. All stages start
+    from the same partial solution `solution`.
     """
     if not stages:
         yield ()

@@ -42,8 +42,8 @@ class SharedScene:
 def without_measured(
     base: PlanningScene, now: PlanningScene, after: PlanningScene, held: Iterable[str]
 ) -> PlanningScene:
-    """Return the scene `after`, which a running task has changed, with its measured values reset to those of
-    the scene `base`.
+    """Return the scene `after` of a running task without measurements: the measured joint positions and
+    object poses are replaced by their values in the scene `base`.
 
     Args:
         base: the scene before the change.
@@ -141,8 +141,8 @@ class TaskContext:
         return self.whole_scene()
 
     def belief(self, name: str) -> str:
-        """Describe where a task's context assumes an object to be.
-        For real arms, the text also explains how to correct this pose.
+        """Describe where an object is according to the task's planning scene. For real arms, the text also
+        explains how to correct a wrong pose.
         """
         x, y, z = self.scene().object(name).T_world_object.translation
         text = f"the scene has {name} at {x:.3f} {y:.3f} {z:.3f}"
@@ -319,7 +319,9 @@ class TaskContext:
         return (lambda _: self.observe()) if self.observers else None
 
     def observe(self) -> None:
-        """Send a sample to the observers of a task's context if one is due, and report new physics events."""
+        """Report new physics events and send a state sample to the observers of a task's context, at most
+        once per sampling period.
+        """
         if not self.observers or self.driver.now < self._next_sample:
             return
         self.report_news()

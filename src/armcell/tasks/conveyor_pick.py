@@ -254,16 +254,16 @@ JUMP = 0.15  # [rad] maximum joint step between these points
 
 
 def _smooth(u: Array) -> Array:
-    """Return a quintic blend from 0 to 1 that has zero slope at both ends (`u` is clipped to 0..1).
-    In a conveyor pick, the hand descends and lifts along this curve.
+    """Return a quintic blend from 0 to 1 with zero slope at both ends; `u` is clipped to 0..1. The blend
+    shapes the vertical motion of the hand in a conveyor pick.
     """
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
 def _carried(times: Array, blend: float, end: float) -> Array:
-    """Return how far the hand has moved along a conveyor belt at given times, as the time [s] in which the
-    belt moves equally far.
+    """Return the displacement of the hand along a conveyor belt at given times, divided by the belt speed:
+    the time [s] in which the belt covers the same distance.
 
     The displacement is this result times the belt's velocity. The hand accelerates to the belt speed within
     `blend` [s] and decelerates in the last `blend` [s] before the time `end`.

@@ -76,7 +76,7 @@ def planning_time(solution: PartialSolution) -> float:
 
 
 def weighted(*terms: tuple[float, Cost]) -> Cost:
-    """Return a cost term for solutions of a task that is the weighted sum of other cost terms.
+    """Return a cost term for solutions of a task: the weighted sum of other cost terms.
 
     Example: `weighted((1.0, duration), (0.1, clearance))`
     """

@@ -30,7 +30,9 @@ NOISE = Noise(position=0.001, rotation=0.02)
 
 @dataclass(frozen=True, eq=False)
 class GraspProof:
-    """Proof of one grasp by simulation: the result of its trials."""
+    """Result of the simulated trials that test one grasp: the number of successes, and the slip and rotation
+    of the object in the hand.
+    """
 
     grasp: Grasp
     successes: int

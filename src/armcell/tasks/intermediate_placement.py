@@ -135,7 +135,9 @@ class PickAndPlace:
 
 @dataclass(frozen=True, eq=False)
 class _AddRecord:
-    """Stage that adds the record of an intermediate placement to the data of the partial solution."""
+    """Stage that records an intermediate placement (its pose and the number of steps so far) in the data of
+    the partial solution.
+    """
 
     pose: RestingPose
     name: str = "placement record"

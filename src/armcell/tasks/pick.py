@@ -100,8 +100,8 @@ class Pick(ABC):
         """Execute the planned motions of a pick, and verify that the hand holds the object."""
 
     def keeps_object(self) -> bool:
-        """Return whether the hand keeps the object after a scene change has stopped the pick.
-        If so, the pick ends without another attempt.
+        """Return whether the hand holds the object when a scene change stops the pick. In this case, the hand
+        keeps the object and the pick ends.
         """
         return False
 
@@ -120,7 +120,9 @@ class Pick(ABC):
         return False
 
     def is_around_object(self) -> bool:
-        """Return whether the open hand may surround the object after a failed pick."""
+        """Return whether the open hand may still be around the object after a failed pick, so that the hand
+        must retreat first.
+        """
         return False
 
     def back_off(self) -> None:
@@ -185,7 +187,9 @@ def pick(
 
 
 class _PickAtRest(Pick):
-    """Pick of an object that rests on its supports."""
+    """Pick of an object at rest: plans and executes one attempt at a time, and opens the hand and retreats
+    after a failure.
+    """
 
     def __init__(
         self, ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...], ahead: Sequence[Stage]
@@ -319,6 +323,6 @@ def retreats(
 
 
 def back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
-    """Retreat straight from the object that an open hand surrounds after a failed pick."""
+    """Move the open hand straight back from the object after a failed pick."""
     for solution in retreats(ctx.scene(), item, gripper, SearchState(ctx.settings, ctx.seed, ctx.cancel)):
         perform_all(ctx, solution.steps)

@@ -160,8 +160,8 @@ def _once(
 
 
 def _one_would_do(outcome: Outcome) -> bool:
-    """Return whether the failed transfer found a grasp that leads to the goal.
-    If so, recovery needs only a motion to that grasp.
+    """Return whether a failed object transfer found a grasp with which the object can be placed at the goal.
+    If so, recovery does not regrasp the object.
     """
     return any(row["stage"] == AHEAD and row["passed"] for row in outcome.evidence.get("stages", ()))
 

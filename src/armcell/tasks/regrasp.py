@@ -37,8 +37,8 @@ STEP = 0.10  # [m] grid around the present position
 
 @dataclass(frozen=True, eq=False)
 class RestingPose:
-    """Resting pose of an object on a support, used for regrasping. The support's name `on` is empty for the
-    object's present pose.
+    """Resting pose of an object on a support, used for regrasping. `on` is the name of the support, or empty
+    if this is the object's present pose.
     """
 
     on: str
@@ -98,8 +98,8 @@ def _breadth_first(
     hands: _Hands, sides: dict[Vector, list[RestingPose]], onward: set[Vector],
     goals: tuple[RestingPose, ...], planning: SearchState, most: int, seen: set[int],
 ) -> Iterator[tuple[RegraspStep, ...]]:  # fmt: skip
-    """Yield regrasp sequences by a breadth-first search over the resting poses of an object.
-    The search first tries the sides from which the object can be moved directly to the goal.
+    """Yield regrasp sequences, found by a breadth-first search over the resting poses of an object. The
+    search first tries the orientations from which the object can be moved directly to the goal.
 
     Adds the ids of reachable poses to `seen`.
     """
@@ -184,8 +184,8 @@ def _sides(scene: PlanningScene, goal: PlacementGoal) -> dict[Vector, list[Resti
 
 
 def _all_over(scene: PlanningScene, name: str, on: str, now: np.ndarray) -> Iterator[Placement]:
-    """Yield intermediate placements for regrasping on all stable sides of the object:
-    first near the object, then all over the support.
+    """Yield intermediate placements for regrasping, with each stable side of the object facing down.
+    Placements near the object come first, then placements on the whole support.
     """
     item, support = scene.object(name), scene.object(on)
     try:
@@ -246,8 +246,8 @@ class _Hands:
         return any(self.can(grasp, goal) for grasp in self.grasps(pose) for goal in goals)
 
     def shared(self, here: RestingPose, there: Sequence[RestingPose]) -> tuple[str, ...]:
-        """Return the names of grasps that connect resting poses in regrasp planning: each grasp is feasible
-        at the pose `here` and at one or more poses in `there`.
+        """Return the names of grasps that are feasible both at the resting pose `here` and at one or more
+        resting poses in `there`. A regrasp sequence can use them to move the object.
         """
         found: list[str] = []
         for grasp in self.grasps(here):

@@ -42,8 +42,8 @@ class PartialSolution:
         return replace(self, steps=self.steps + steps, scene=scene or self.scene, data={**self.data, **data})
 
     def since(self, start: PartialSolution) -> PartialSolution:
-        """Return a partial solution of the search that contains only
-        the steps added after an earlier solution.
+        """Return a copy of this partial solution without the steps of `start`, the earlier solution that it
+        extends.
         """
         return replace(self, steps=self.steps[len(start.steps) :])
 
@@ -66,7 +66,9 @@ class SearchState:
     within: list[str] = field(default_factory=list)  # names of the running stages, outermost first
 
     def propose(self, stage: Stage, solution: PartialSolution) -> Iterator[PartialSolution]:
-        """Yield the proposals of a stage to the search, and count them for the stage table."""
+        """Yield the solutions that a stage proposes in the search, and record the stage's calls, proposals
+        and time in the stage statistics.
+        """
         path = (*self.within, stage.name)
         self.tallies.setdefault(path, StageStatistics(path)).asked += 1
         found = iter(stage.propose(solution, self))
@@ -124,8 +126,8 @@ class SearchState:
         )  # fmt: skip
 
     def join(self, fork: SearchState, seconds: float) -> None:
-        """Merge the reports and the CPU time [s] of a forked planning state
-        back into the planning state of the task search.
+        """Merge the results of a forked search state into this state: rejections, stage statistics, the last
+        failure, and the CPU time `seconds` [s].
 
         Later reports of the fork go directly to this state.
         """
@@ -210,8 +212,8 @@ Branch = Callable[[SearchState], Iterator[PartialSolution]]
 
 
 def in_order(branches: Iterable[Branch], planning: SearchState) -> Iterator[PartialSolution]:
-    """Yield the solutions of the search branches, one branch after the other, until the search for the task's
-    plan should stop.
+    """Yield the solutions of several search branches, one branch after the other. Stop early if the search
+    for the task's plan should stop, for example after a timeout.
 
     If `planning` has threads, they search the next branches in parallel.
     """

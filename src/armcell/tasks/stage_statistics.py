@@ -23,8 +23,8 @@ class StageStatistics:
         return sum(self.reasons.values())
 
     def add_rejection(self, part: str, candidate: str, reason: str) -> None:
-        """Count a candidate that a stage has rejected. `part` names the stage,
-        or a motion planned for the candidate.
+        """Count a candidate that a stage has rejected. `part` is the name of the stage, or of the motion that
+        failed for this candidate.
         """
         short = reason_in_short(reason)
         key = short if part == self.path[-1] else f"{part}: {short}"
@@ -59,7 +59,9 @@ class StageStatistics:
 
 
 def reason_in_short(reason: str) -> str:
-    """Return the reason for a stage's rejection without its details, so that equal reasons can be counted."""
+    """Return the general reason in a stage's rejection message, without the details after a colon or in
+    parentheses, so that equal reasons can be counted.
+    """
     return reason.split(":")[0].split(" (")[0]
 
 

@@ -61,7 +61,9 @@ class Motion:
 
 
 class _DropMonitor(GuardedMotion):
-    """Guarded motion of a task's step that also stops as soon as a hand has lost its object."""
+    """Guarded motion in a step of a task. In addition to the checks of `GuardedMotion`, it stops as soon as a
+    hand has lost its object.
+    """
 
     def __init__(self, ctx: TaskContext, trajectory: JointTrajectory, planned_in: PlanningScene | None):
         super().__init__(ctx.gate, trajectory, planned_in, ctx.cancel)

@@ -76,8 +76,8 @@ class BlendedPath:
 
     @property
     def arrays(self) -> tuple[Any, Any, Any, Any, Any, Any]:
-        """Arrays (kind, origin, x, y, lengths, radius) that describe the pieces of a blended path for
-        compiled functions.
+        """Pieces of a blended path as a tuple of arrays (kind, origin, x, y, lengths, radius), which is the
+        form that the compiled functions require.
         """
         return self.kind, self.origin, self.x, self.y, self.lengths, self.radius
 
@@ -106,8 +106,8 @@ class BlendedPath:
         return self.evaluate(piece, np.clip(s - self.starts[piece], 0.0, self.lengths[piece]))
 
     def polyline(self, sagitta: float = 1e-4) -> Array:
-        """Approximate a blended path by a polyline; return its points (m, n), at most `sagitta` [rad] away
-        from the path.
+        """Return the points (m, n) of a polyline that approximates a blended path. The polyline deviates from
+        the path by at most `sagitta` [rad].
 
         Raises:
             InputError: `sagitta` is not a positive number.

@@ -60,8 +60,8 @@ def _distance(v0, v1, a, j):
 
 @njit(cache=True)
 def _fastest(v0, v1, a, j, length, most):
-    """Return the highest speed, at most `most`, that a jerk-limited motion can reach on a line with start
-    speed v0 and end speed v1. The result is at least max(v0, v1).
+    """Return the highest speed that a jerk-limited motion can reach on a line of the given length between the
+    speeds v0 at its start and v1 at its end. The result is at least max(v0, v1) and at most `most`.
 
     If v1 < 0, the line may end at the highest speed.
     """
@@ -79,8 +79,8 @@ def _fastest(v0, v1, a, j, length, most):
 
 @njit(cache=True)
 def _ramp_phases(piece, s, v0, v1, a, j, at, out):
-    """Append the phases of a jerk-limited speed change to `out`. Return the new number of phases and the new
-    path parameter s.
+    """Append the phases of a jerk-limited speed change to `out`. Return the number of phases in `out`, and
+    the path parameter s at the end of the speed change.
 
     The up to three phases are (piece, s, v, a, jerk, duration).
     """
@@ -106,8 +106,8 @@ def _ramp_phases(piece, s, v0, v1, a, j, at, out):
 
 @njit(cache=True)
 def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
-    """Divide a jerk-limited motion along path pieces into phases of constant path jerk; return one row of six
-    values per phase (k, 6).
+    """Compute the phases of constant jerk in a jerk-limited motion along a path. Return an array (k, 6) with
+    one row per phase.
 
     The columns are piece, path parameter in the piece, speed, acceleration, jerk and duration.
     """

@@ -91,8 +91,8 @@ GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with thre
 
 @njit(cache=True)
 def _motion_at(times, pieces, motion):
-    """Sample a motion at given times for the computation of moving averages. Return three arrays (m, n): the
-    integrated position, the position and the velocity.
+    """Sample a motion at given times, as the input of moving averages. Return three arrays (m, n): the time
+    integral of the position, the position, and the velocity.
 
     The times increase. Positions are relative to the first point, and the integral begins at time 0. The
     motion is at rest before its start and after its end.
@@ -148,8 +148,8 @@ def _motion_at(times, pieces, motion):
 
 @njit(cache=True)
 def _difference(now, then, shift, factor):
-    """Compute the samples of a moving average in place: replace each now[i] with (now[i] - then[i - shift]) *
-    `factor`.
+    """Compute a moving average in place from the integrals `now` and `then` at both ends of the window:
+    now[i] becomes (now[i] - then[i - shift]) * `factor`.
 
     `then` is zero before its first row and may be the same array as `now`.
     """

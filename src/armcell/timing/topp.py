@@ -47,8 +47,8 @@ def grid(kind, length, turn, line_step):
 
 @njit(cache=True, fastmath=FAST)
 def _largest_x(center, half, slope, i, ds, reach, cap):
-    """Return the largest squared path speed x in [0, cap] that satisfies the constraints of interval i, for
-    the time-optimal parameterization.
+    """Return the largest squared path speed x in [0, cap] that satisfies all constraints of interval i of the
+    path. The time-optimal path parameterization calls this function for each interval.
 
     x is allowed if some u has |u - center + slope x| <= half in every row of interval i and
     0 <= x + 2 ds u <= reach. Newton's method on a convex piecewise linear function takes a few steps.

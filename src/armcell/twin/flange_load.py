@@ -23,8 +23,8 @@ UNTOLD = 1.0  # [kg] prior standard deviation of a mass: keeps poorly observable
 
 @dataclass(frozen=True, eq=False)
 class LoadEfforts:
-    """Joint efforts for estimating the load on the flange: the effort per kilogram of load, and the effort
-    that accelerates the arm itself.
+    """Joint efforts from which the load on the flange is estimated: efforts per kilogram of load, and efforts
+    that accelerate the arm without a load.
     """
 
     weight: Array  # (k, n) [Nm/kg] gravity torque of a mass at the flange
@@ -33,8 +33,8 @@ class LoadEfforts:
 
 
 def load_efforts(model: RobotModel, trajectory: JointTrajectory, times: Array) -> LoadEfforts:
-    """Return the joint efforts along a trajectory at times (k,) [s] for estimating the flange load: the
-    effort per kilogram of load, and the effort that accelerates the arm itself.
+    """Compute the joint efforts from which the flange load is estimated, at times (k,) [s] of a trajectory.
+    The result contains efforts per kilogram of load and efforts that accelerate the arm without a load.
 
     The load is a point mass at the origin of each arm's last link. `swing` excludes held objects.
     """

@@ -38,8 +38,8 @@ STEADY = 0.002  # largest change of the speed scaling between two samples of con
 
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
-    """Recorded motion of an arm together with its dry run; the twin guard learns its thresholds from such
-    pairs.
+    """Recorded motion of an arm, and the dry run of the same motion in the simulated twin. The thresholds of
+    the twin guard are learned from such recordings.
     """
 
     arm: str
@@ -270,8 +270,8 @@ class MonitoredExecution:
         self._guard.note(cause.name, "twin slowed", f"{text} at {clock:.2f} s: slowed to {SLOW:.0%}")
 
     def _as_before(self) -> None:
-        """Restore the arms' speed sliders to their values before the guard slowed the arms because one
-        deviated from its simulated twin.
+        """Set the speed sliders of all arms back to the values that they had before the twin guard slowed the
+        arms.
         """
         for arm in self._arms:
             if arm.name in self._before:

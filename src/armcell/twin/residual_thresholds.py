@@ -51,8 +51,8 @@ CREEP = 0.02  # [rad/s] at which Coulomb friction reaches 76 % of its final valu
 
 @dataclass(frozen=True, eq=False)
 class TwinSample:
-    """Measured sample from a fault-free motion of a real arm; the twin's residual thresholds (bands) are
-    learned from such samples.
+    """Measured sample of a moving real arm: joint positions, velocities and motor currents at one time of the
+    trajectory, for comparison with the simulated twin.
     """
 
     clock: float  # [s] time on the trajectory
@@ -67,8 +67,8 @@ class TwinSample:
 
 @dataclass(frozen=True, eq=False)
 class ArmResidualThresholds:
-    """Residual thresholds (bands) for each joint of one arm, and the fitted model that predicts the arm's
-    motor currents from the simulated twin.
+    """Thresholds for the residuals between one real arm and its simulated twin, for each joint, and the
+    fitted model that predicts the arm's motor currents.
     """
 
     lag: float  # [s]
@@ -144,8 +144,8 @@ class ArmResidualThresholds:
         return found
 
     def _of_currents(self, looks: Sequence[Array], doubt: Array) -> dict[str, Array]:
-        """Return the residuals of motor current and load between a real arm and its simulated twin, as
-        multiples of the thresholds (bands). Residuals without enough samples are omitted.
+        """Compare the motor currents and the load of a real arm with its simulated twin. Return each residual
+        divided by its threshold; omit residuals without enough samples.
 
         Args:
             looks: recent samples (2, n) of current residual [A] and current per kilogram [A/kg].
@@ -168,15 +168,15 @@ class ArmResidualThresholds:
 
 @dataclass(frozen=True, eq=False)
 class ResidualThresholds:
-    """Residual thresholds (bands) for comparing all arms of a cell with their twin. They are valid only for
-    the recorded robot, physics and calibration.
+    """Residual thresholds for comparing all real arms of a cell with the simulated twin. They are valid only
+    for the recorded robot, physics and calibration.
     """
 
     arms: Mapping[str, ArmResidualThresholds]
     identity: Mapping[str, str]  # keys: robot, physics, real, calibration of each arm
 
     def save(self, file: Path) -> None:
-        """Write the residual thresholds (bands) of a twin to a JSON file.
+        """Write the thresholds for comparing real arms with their simulated twin to a JSON file.
 
         Raises:
             InputError: the file cannot be written.
@@ -223,7 +223,7 @@ def _arm_of(entry: dict[str, Any]) -> ArmResidualThresholds:
 def fit_thresholds(
     motions: Sequence[tuple[DryRun, Sequence[int], Sequence[TwinSample]]],
 ) -> ArmResidualThresholds:
-    """Learn the residual thresholds (bands) for comparing one arm with its twin; the samples come from
+    """Learn the residual thresholds for comparing one real arm with its simulated twin, from samples of
     motions without faults.
 
     Args:
@@ -283,8 +283,8 @@ def fit_thresholds(
 
 
 def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
-    """Fit a linear motor current model for each joint by least squares. The residual thresholds between a
-    real arm and its simulated twin build on this model.
+    """Fit a linear model of the motor current to the samples of each joint by least squares. The model
+    predicts the currents of a real arm from the torques and speeds of its simulated twin.
 
     Args:
         current, effort, speed: samples (k, n) in [A], [Nm], [rad/s].
@@ -303,8 +303,8 @@ def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
 
 
 def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
-    """Return the largest residual (n,) that persists for LASTING consecutive samples of a motion. The twin's
-    thresholds (bands) are derived from it.
+    """Return the largest magnitude (n,) that each joint's residual keeps for `LASTING` consecutive samples of
+    a motion. Thresholds for comparing an arm with its twin are derived from it.
 
     A shorter peak does not count, because it would not slow the arm either.
     """
@@ -319,8 +319,8 @@ def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
-    """Return the largest mean residual (n,) over SMOOTHED consecutive samples of a motion. The twin's
-    thresholds (bands) are derived from it.
+    """Return the largest magnitude (n,) of each joint's mean residual over `SMOOTHED` consecutive samples of
+    a motion. The current thresholds for comparing an arm with its twin are derived from it.
     """
     largest, first = np.zeros(left.shape[1]), 0
     for length in lengths:
@@ -333,8 +333,8 @@ def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_load(left: Array, kilo: Array, spread: Array, lengths: Sequence[int]) -> float:
-    """Return the largest flange mass [kg] that would explain the samples in a time window. The twin's load
-    threshold (band) is derived from it.
+    """Estimate the additional mass at the flange [kg] from the current residuals in each time window, and
+    return the largest magnitude. The load threshold for comparing an arm with its twin is derived from it.
 
     A window contains the last SMOOTHED samples; at the start of a motion, at least FEWEST.
     """

@@ -86,7 +86,7 @@ class PageGuard:
         self._open = False
 
     def open(self) -> None:
-        """Start to accept valid requests to the guarded web page.
+        """Open the web page to requests that pass the guard's checks of host, origin and token.
 
         Before this call, requests with the token get a "starting" page.
         """
@@ -178,7 +178,9 @@ class PageGuard:
 
 
 def page_url(host: str, port: int, token: str) -> str:
-    """Return the URL, including the token, with which a browser on this machine opens the guarded page."""
+    """Return the URL, including the access token, that opens the protected web page in a browser on this
+    machine.
+    """
     host = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
     return f"http://{host_in_url(host)}:{port}/?token={token}"
 

@@ -135,8 +135,8 @@ class ReplayView:
         self.viewer.on_state(self.record.states[self.record.index_at(time + 1e-9)].sample())
 
     def _said_until(self, time: float) -> list[Event]:
-        """Return the recorded events that the viewer shows at a time [s] of the replayed run: the last stage
-        event, and the newest event if it is not a stage event.
+        """Return the recorded events that the viewer shows at a time [s] of the replayed run: the latest
+        stage event, and the latest event after it, if any.
         """
         before = [e for e in self.record.events if e.time <= time + 1e-9]
         stages = [e for e in before if e.kind == "stage"]

@@ -57,7 +57,9 @@ class PlanSettings:
             raise InputError(f"motion is {self.motion!r}", hint=f"choose one of {', '.join(MOTIONS)}")
 
     def with_request_values(self, request: PlanRequest | CartesianRequest) -> PlanSettings:
-        """Return a copy of the session's settings with the values of a planning request."""
+        """Return a copy of the planning session's settings, updated with the values of a planning request
+        (planner, speeds, type of motion).
+        """
         speeds: dict[str, Any] = {
             "velocity_scaling": request.velocity_scaling,
             "acceleration_scaling": request.acceleration_scaling,

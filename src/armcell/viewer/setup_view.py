@@ -30,8 +30,8 @@ class LinkPair(Protocol):
 
 
 class SetupProposal(Protocol):
-    """Protocol for a proposed robot setup that the browser page shows, implemented by
-    `armcell.cell.setup.SetupProposal`.
+    """Interface (typing protocol) of a proposed robot setup that the browser page shows.
+    `armcell.cell.setup.SetupProposal` implements it.
     """
 
     @property

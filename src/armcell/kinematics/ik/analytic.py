@@ -88,8 +88,8 @@ def ur_geometry(chain: Chain) -> F64 | None:
 
 
 def _flat(x: F64, z: F64, v: F64) -> F64:
-    """Return the coordinates (2,) of a vector v along the unit vectors x and z, which span the vertical plane
-    of a UR arm's upper arm and forearm at joint 1 = 0.
+    """Return the coordinates (2,) of a vector v along the unit vectors x and z. They span the plane in which
+    a UR arm's upper arm and forearm move when joint 1 is at zero.
 
     The arctan2 of the coordinates is the angle from z, positive about y.
     """
@@ -188,8 +188,8 @@ def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
 
 @njit(cache=True, error_model="numpy")
 def _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count):
-    """Append the IK solutions of a UR arm whose axes 4 and 6 are parallel, so that joint 6 is free. Return
-    the new number of solutions.
+    """Append the IK solutions of a UR arm for a singular wrist configuration: axes 4 and 6 are parallel, and
+    joint 6 can be chosen freely. Return the new number of solutions.
 
     Joint 6 takes the reference's position, or else the first of 16 positions that reaches the goal.
     """

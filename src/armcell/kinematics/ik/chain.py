@@ -116,8 +116,8 @@ def _reach(table: Array, bounds: Array) -> float:
 
 @njit(cache=True, error_model="numpy")
 def goal_in_base(inverse_base, T, goal):
-    """Convert the desired tip pose of an IK chain from the root frame to the chain's base frame, and write it
-    to `goal` (12,). Return whether it is finite.
+    """Convert the tip's goal pose from the root frame to the base frame of an IK chain, and write it to
+    `goal` as 12 numbers (3x4 matrix, row by row). Return whether all numbers are finite.
     """
     total = 0.0
     for i in range(3):

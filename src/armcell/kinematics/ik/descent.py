@@ -22,8 +22,8 @@ RELEASES = 3  # solves per iteration: the first with all joints, more without jo
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def damped_step(J, n, e, damping, A):
-    """Compute one step of damped least squares, `J^T (J J^T + damping)^-1 e`, for an IK descent, and write it
-    to J[:, 6].
+    """Compute one damped least-squares step of an IK descent, `J^T (J J^T + damping)^-1 e`, and write the
+    joint step to the spare column J[:, 6].
 
     J (n, 7) has a row per joint, A (6, 6) is scratch.
     """
@@ -199,8 +199,8 @@ def approach_in_null_space(table, bounds, goal, scale, reference, position_toler
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def null_space_step(table, bounds, goal, scale, wish, iterations, position_tolerance, rotation_tolerance, q):
-    """Move an IK solution q (n,) by the null-space part of the desired joint step `wish` (n,),
-    then bring the tip back to its goal.
+    """Move a redundant arm's IK solution q (n,) by the null-space component of the desired joint step `wish`
+    (n,), then correct q so that the tip is at its goal again.
 
     q changes in place.
 

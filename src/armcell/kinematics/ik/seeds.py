@@ -24,8 +24,8 @@ _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53)
 
 @dataclass(frozen=True, eq=False)
 class Seeds:
-    """Start configurations (seeds) for IK: COUNT joint positions (n,) spread over the joint limits, with the
-    tip pose at each of them.
+    """Start configurations (seeds) for IK: COUNT joint configurations (n,) spread over the joint limits, and
+    the tip pose of each configuration.
 
     A pose is a position and a quaternion.
     """
@@ -73,8 +73,8 @@ def halton(count: int, dimensions: int) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def pose_numbers(T, out):
-    """Write the position and the quaternion (w, x, y, z) of a pose (12,) to `out` (7,), for the table of IK
-    seeds.
+    """Convert a pose (3x4 matrix as 12 numbers) to a position and a quaternion (w, x, y, z), and write them
+    to `out` (7,). The table of IK seeds stores poses in this form.
 
     Shepperd's method.
     """
@@ -105,8 +105,8 @@ def fill_poses(table, positions, poses):
 
 @njit(cache=True, fastmath=True)
 def rank(poses, goal, scale, scores):
-    """Rank IK seeds by the distance between their tabulated tip poses and the goal pose (12,); write the
-    distances to `scores` (COUNT,).
+    """Compare IK seeds with the goal pose (12 numbers of a 3x4 matrix): write the distance between each
+    seed's precomputed tip pose and the goal to `scores` (COUNT,).
 
     The unit is about radians squared.
     """

@@ -149,8 +149,8 @@ class IKSolver(ABC):
     def nearest(
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None, among: int = 16
     ) -> list[Array]:
-        """Return distinct IK solutions (n,), sorted by their distance from the reference, nearest first. The
-        argument `among` limits their number.
+        """Return up to `among` distinct IK solutions (n,), sorted by their distance from the reference,
+        nearest first.
 
         See `solutions` for the arguments.
         """

@@ -87,7 +87,8 @@ class HandGeometry:
         self.points = {name: surface_points(model.links[name], SPACING) for name in below}
 
     def pose(self, link: str, q: float) -> SE3:
-        """Return the pose T_palm_link of a link in the hand that robot setup examines.
+        """Return T_palm_link, the pose of a hand's link in the frame of the palm, for gripper detection in
+        the robot setup.
 
         The driven joint is at `q`. Joints that mimic it follow, and all other joints are at zero.
         """

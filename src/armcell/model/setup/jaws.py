@@ -79,8 +79,8 @@ def _side(hand: HandGeometry, links: Part) -> Part:
 
 
 def _speeds(hand: HandGeometry, parts: list[Part]) -> dict[Part, Array]:
-    """Return the mean velocity (3,) of the points on each part (group of links) of a hand, per unit velocity
-    of the joint that drives the gripper.
+    """Return the mean velocity (3,) of each part (group of links) of a hand while the gripper's driven joint
+    moves at unit velocity.
     """
     low, high = hand.driver.limits.lower, hand.driver.limits.upper
     mid, h = (low + high) / 2, (high - low) / 200
@@ -216,8 +216,8 @@ def _single(hand: HandGeometry, jaw: Part, low: float, high: float, closes: str)
 
 
 def _between_pads(hand: HandGeometry, a: Part, b: Part, axes: Array, q: float, turn: float) -> Array:
-    """Turn the axes of a gripper's jaws about x so that z bisects the angle between the pads when the gripper
-    is half open. The closing jaws then push a grasped object only slightly along z.
+    """Rotate the axes of a gripper's jaws about x until z bisects the angle between the pads of the half-open
+    gripper. With this z axis, the closing jaws push a grasped object only slightly along z.
 
     If the axis of an arm with few joints is near the pad of the fixed jaw, it becomes z.
 
@@ -264,8 +264,8 @@ def _axes(y: Array, out: Array) -> Array:
 
 
 def _snapped(direction: Array) -> Array:
-    """Return the axis of the palm's frame that is within 3 degrees of the jaws' closing or outward direction,
-    or else the direction itself.
+    """Snap the jaws' closing or outward direction (3,) to an axis of the palm's frame if the angle between
+    them is less than 3 degrees. Otherwise, return the direction unchanged.
     """
     k = int(np.argmax(np.abs(direction)))
     return np.sign(direction[k]) * np.eye(3)[k] if abs(direction[k]) > SNAP else direction

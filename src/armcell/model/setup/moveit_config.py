@@ -204,8 +204,8 @@ def package_files(package: str, urdf: str, srdf: str) -> dict[str, str]:
 
 
 def is_moveit_config(folder: Path) -> bool:
-    """Return whether a folder is a MoveIt configuration.
-    It then contains `config/*.srdf*` or `.setup_assistant`.
+    """Return whether a folder is a MoveIt configuration, which contains `config/*.srdf*` or
+    `.setup_assistant`.
     """
     return any((folder / "config").glob("*.srdf*")) or (folder / SETUP_FILE).is_file()
 

@@ -31,8 +31,8 @@ class XacroError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """Function for xacro expressions that charges its work to a
-    budget: `run(budget, *arguments, **keywords)`.
+    """Function that xacro expressions can call. `run(budget, *arguments, **keywords)` executes the function
+    and deducts its operations from the xacro file's budget.
 
     Attributes:
         name: name of the function in messages.
@@ -77,8 +77,8 @@ class Budget:
 
 
 def size(value: Any) -> int:
-    """Return the size of a xacro value: its number of items. Operations on the value charge this size to the
-    budget of the xacro file.
+    """Return the size of a xacro value as its number of items. An operation on the value costs this number of
+    operations from the xacro file's budget.
 
     Nested items count too. A string counts as one item plus one for every 64 characters. An item that occurs
     twice counts twice, because printing and comparing it takes twice as long.
@@ -127,7 +127,8 @@ def check_key(key: Any) -> None:
 
 
 def check_repeated(items: Sequence[Any], times: int) -> None:
-    """Check that repeating a string or list in a xacro expression does not exceed the budget.
+    """Check that a string or list does not exceed the size limit for one value when a xacro expression
+    repeats it.
 
     Raises:
         XacroError: `items`, repeated `times` times, would be too long.

@@ -115,8 +115,8 @@ def expand_with_source_locations(
 
 
 def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
-    """Return the names of the missing arguments for expanding a xacro file: first `name`, then all arguments
-    that the file uses but that are neither declared in the file nor contained in `given`.
+    """List the arguments that are missing for expanding a xacro file: first `name`, then each argument that
+    the file uses without declaring it, unless `given` contains it.
     """
     text = etree.tostring(root, encoding="unicode")
     known = {*given, *(str(e.get("name")) for e in root.iter() if _is_xacro_tag(e, "arg"))}

@@ -23,8 +23,8 @@ PERCENT = re.compile(r"%(?:\((?P<key>[^)]*)\))?[#0\- +]*(?P<width>\*|\d*)(?:\.(?
 
 
 def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function:
-    """Wrap a Python function for use in xacro expressions. Each call subtracts the size of its arguments
-    from the budget of operations.
+    """Wrap a Python function for use in xacro expressions. Each call deducts the size of its arguments from
+    the number of operations that the xacro file may still use.
 
     The budget assumes that the function's run time is at most proportional to the size of its arguments.
     """

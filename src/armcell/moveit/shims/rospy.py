@@ -157,7 +157,9 @@ logout = loginfo
 
 
 def logdebug_throttle(period: float, msg: Any, *args: Any) -> None:
-    """Ignore a debug message with a rate limit, because rospy does not show debug messages by default."""
+    """Discard the debug message. rospy's `logdebug_throttle` logs a message at most once per `period` [s],
+    but rospy hides debug messages by default.
+    """
 
 
 def logdebug_once(msg: Any, *args: Any) -> None:

@@ -21,8 +21,8 @@ _AXES = ["xyz", "xyx", "xzy", "xzx", "yzx", "yzy", "yxz", "yxy", "zxy", "zxz", "
 
 
 def _axes(axes: str | Sequence[int]) -> tuple[list[int], bool]:
-    """Convert the name of an Euler axis sequence, such as "sxyz", to rotations about fixed axes, as
-    tf.transformations defines them.
+    """Convert an Euler axis sequence of tf.transformations, such as "sxyz" or "rzyx", to the equivalent order
+    of rotations about fixed axes.
 
     Returns:
         The axes (0 to 2) in order, and whether the name describes a rotating frame.
@@ -217,8 +217,8 @@ def rotation_matrix(angle: float, direction: ArrayLike, point: ArrayLike | None 
 
 
 def rotation_from_matrix(matrix: ArrayLike) -> tuple[float, Array, Array]:
-    """Return the angle [rad], the axis direction (3,) and a point (4,) on the axis of the rotation in a
-    matrix, like tf.transformations.
+    """Return the angle [rad], the axis direction (3,) and a point (4,) on the axis (homogeneous coordinates)
+    of the rotation in a 4x4 matrix. Equivalent of the tf.transformations function.
     """
     M = np.asarray(matrix, dtype=float)
     q = quaternion_from_matrix(M)

@@ -93,8 +93,8 @@ def plan_redundancy(
 
 
 def _null(ik: IKSolver, full: F64, like: F64 | None) -> F64:
-    """Compute the direction (n,) in which a redundant arm can move its joints without moving the tip. Its
-    largest component is 1, and its sign agrees with `like`.
+    """Compute the null-space direction (n,) of a redundant arm, a joint motion that does not move the tip.
+    The largest component has magnitude 1, and the direction does not point against `like`.
     """
     J = ik.tree.jacobian(full, ik.tip_link, ik.joint_names)
     along = np.linalg.svd(J)[2][-1]
@@ -103,8 +103,8 @@ def _null(ik: IKSolver, full: F64, like: F64 | None) -> F64:
 
 
 def _between(last: _Node, cuts: list[int], count: int) -> F64:
-    """Interpolate a redundant arm's joint positions linearly along a line, between the configurations that
-    the search chose at a few steps of the line (`cuts`).
+    """Interpolate a redundant arm's joint positions linearly between the configurations that the search chose
+    at the steps `cuts` of a Cartesian line. Return the joint positions (count, n) of all steps.
     """
     nodes: list[F64] = []
     node: _Node | None = last
@@ -158,7 +158,7 @@ class StopReason:
 
 
 def collision_stop(contacts: list[Contact]) -> StopReason:
-    """Return the reason why the robot stops following a Cartesian line: bodies would touch."""
+    """Return the `StopReason` for a robot that stops on a Cartesian line because bodies would collide."""
     text = "; ".join(c.describe() for c in contacts[:3]) or "in collision"
     return StopReason(COLLISION, text, ErrorCode.INVALID_MOTION_PLAN, {"contacts": contacts})
 
@@ -276,8 +276,8 @@ class RestingStartRule:
         self._others.relax_margins(start)
 
     def forbidden_contacts(self, q: F64) -> list[Contact] | None:
-        """Return the contacts that forbid positions q (n,) on a Cartesian line that starts in resting
-        contact, or None if q is allowed.
+        """Return the contacts at joint positions q (n,) that are forbidden on a Cartesian line with a resting
+        contact at its start. Return None if q is allowed.
         """
         if (contact := self._leaving.forbidden_contact(q)) is not None:
             return [contact]

@@ -302,7 +302,7 @@ def _along(line: _CartesianProblem, start: Array) -> PlanResult:
 
 
 class _AcceptAll:
-    """Certifier for Cartesian plans that accepts every motion without a collision check.
+    """Certifier for Cartesian plans that checks no collisions and accepts every motion.
 
     It is for paths that need no collision check or are proven after timing.
     """

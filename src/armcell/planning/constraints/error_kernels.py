@@ -48,8 +48,8 @@ def scratch_size(dof: int, places: int) -> int:
 
 @njit(cache=True, forceinline=True)
 def manifold_pointers(handle) -> Any:
-    """Convert the addresses (3,) of the constraint arrays to the pointers n, c and x that the error kernels
-    take.
+    """Convert the addresses (3,) of the constraint arrays to pointers: n (integers), c (constants) and x
+    (scratch memory). Kernels for constraint errors take these pointers.
     """
     return (
         at_address(np.int64, handle[0]),
@@ -60,8 +60,8 @@ def manifold_pointers(handle) -> Any:
 
 @njit(cache=True)
 def place_links(n, c, x, q, at):
-    """Compute the pose and the joint axes of every constrained link, and write them to the scratch memory x
-    of the error kernels.
+    """Compute the pose and the joint axes of every constrained link from joint positions, and write them to
+    x, the scratch memory that all kernels for constraint errors share.
 
     A pose has 12 numbers, an axis 6: its direction and origin.
     """
@@ -108,8 +108,8 @@ def place_links(n, c, x, q, at):
 
 @njit(cache=True)
 def orientation_error(n, c, x, turn):
-    """Compute the error (3,) of an orientation constraint and its derivative (9 values), and write them to
-    x[work:] and x[work + 3:].
+    """Compute the error (3,) of an orientation constraint and its derivative (3x3 matrix). Write the error to
+    x[work:] and the derivative to x[work + 3:] in the scratch memory x.
 
     The matrix maps the link's angular velocity in the world to the rate of the error. Call `place_links`
     first. A rotation vector e changes by the inverse left Jacobian of SO(3), 1 - [e]/2 + k [e]^2. Euler
@@ -166,7 +166,8 @@ def orientation_error(n, c, x, turn):
 
 @njit(cache=True)
 def point_at(n, c, x, point):
-    """Compute the world position of a position constraint's point for the constraint's error kernel.
+    """Compute the world position [m] of the point that a position constraint restricts. Kernels for
+    constraint errors call it.
 
     This compiled kernel takes the pose of the point's link from the scratch memory x. Call `place_links`
     first.

@@ -46,8 +46,8 @@ proven to stay exactly on a boundary."""
 
 @dataclass(frozen=True)
 class Violation:
-    """Violation of a constraint of the manifold: the kind and name of the constraint, the amount, and a
-    description.
+    """Violation of one constraint in a constraint manifold: the kind and name of the constraint, the amount
+    of the violation, and a description.
     """
 
     kind: str  # "joint", "orientation" or "position"
@@ -125,8 +125,8 @@ class ConstraintManifold:
         return at
 
     def _resolve(self, name: str | None) -> tuple[str, SE3]:
-        """Find the robot link that carries a frame whose pose the manifold constrains. Return the link and
-        the pose of the frame in this link. The frame is a link, the group's tip or an attached object.
+        """Return the robot link that carries a constrained frame, and the pose of the frame in this link. The
+        constraint manifold accepts a link or an attached object as a frame; the default is the group's tip.
         """
         scene = self._scene
         if name is None:
@@ -166,7 +166,8 @@ class ConstraintManifold:
         return self._links[name]
 
     def _frame(self, name: str) -> SE3:
-        """Return the pose T_world_frame of the reference frame of a constraint in the constraint manifold.
+        """Return T_world_frame, the pose of the frame in which a path constraint of the manifold is
+        specified.
 
         The frame must not move with the group.
         """
@@ -255,8 +256,8 @@ class ConstraintManifold:
         return self._out[:-1].copy()
 
     def violations(self, q: Array, inside: bool = False) -> list[Violation]:
-        """List the constraints of the manifold that joint positions q (dof,) violate by more than a small
-        margin (BOUNDARY).
+        """Check joint positions q (dof,) against the constraints of a manifold. List the violations that
+        exceed a small margin (BOUNDARY).
 
         Args:
             inside: also list constraints that q satisfies by less than the margin.
@@ -361,8 +362,8 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
 
 
 def reach_of(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
-    """Return upper bounds (dof,) [m/rad or m/m] on how far a constrained point on a link moves per unit
-    motion of each joint.
+    """Bound the motion of a constrained point on a link: return the largest distance (dof,) [m/rad or m/m]
+    that the point can move per unit motion of each joint.
 
     The bounds hold in all configurations.
     """

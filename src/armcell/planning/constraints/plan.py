@@ -122,7 +122,7 @@ class ConstrainedPlanner(NativePlanner):
         )  # fmt: skip
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Shorten a path (path[:count]) on the constraint manifold in place.
+        """Shorten `path[:count]`, a path on the constraint manifold, in place.
 
         Return the new count, or 0 if a proof fails.
         """

@@ -55,8 +55,8 @@ PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave over
 
 @njit(cache=True)
 def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
-    """Write one row of the Jacobian for projection onto constraints: how fast each joint rotates a link about
-    the direction g, or moves the point (px, py, pz) along g.
+    """Write one Jacobian row for projection onto constraints. For each joint, the row contains the rate at
+    which the link's point (px, py, pz) moves along the direction g, or at which the link rotates about g.
 
     If `turns` is true, the row contains the angular velocities.
     """
@@ -81,8 +81,8 @@ def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
 
 @njit(cache=True)
 def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
-    """Write the Jacobian row and the residual for projecting a constrained point into its region, along the
-    direction (ga, gb, gd) in the frame of the region's shape.
+    """Write the Jacobian row and the residual for moving a constrained point back into its region. The
+    direction (ga, gb, gd) points out of the region, in the frame of the region's shape.
     """
     at = n[s + 1]
     link = n[n[AT_POINTS] + point * POINT_WIDTH]
@@ -97,8 +97,8 @@ def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
 
 @njit(cache=True)
 def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
-    """Write the Jacobian row and the residual that project a constrained point back into its region along one
-    axis of the region's shape. Write nothing if the point is within the shape on this axis.
+    """Write the Jacobian row and the residual for moving a constrained point back into its region along one
+    axis of the region's shape. Write nothing if the point is already inside on this axis.
 
     The point is outside if its coordinate `value` [m] exceeds `inner` [m] in magnitude. The projection moves
     the point back along the axis.
@@ -217,8 +217,8 @@ def _step(n, x, count, damping):
 
 @njit(cache=True)
 def project(n, c, x, q, at, lower, upper):
-    """Project joint positions q[at:] onto the constraints: move them within their bounds until all planning
-    tolerances are met.
+    """Project the joint positions at q[at:] onto the constraints: move the joints, between `lower` and
+    `upper`, until all constraint errors are within the planning tolerances.
 
     Returns:
         Whether the projection succeeded.

@@ -64,8 +64,8 @@ KEEPS, UNKNOWN, LEAVES = 1, 0, -1
 
 @njit(cache=True)
 def _bends(angle):
-    """Return two bounds, g and c, on the derivatives of an orientation error e (a rotation vector of at most
-    `angle` [rad]). They are used to prove orientation constraints.
+    """Return two bounds (g, c) on how fast an orientation error e can change, where e is a rotation vector of
+    at most `angle` [rad]. The proof of orientation constraints uses the bounds.
 
     With the angular velocity u: |e'| <= g |u| and |e''| <= g (|u'| + c |u|^2). Both bounds increase with the
     angle.

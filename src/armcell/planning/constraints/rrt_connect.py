@@ -94,8 +94,8 @@ def _apart(p, a, b, dof):
 
 @njit(cache=True)
 def _sampled(n, c, x, p, a, b, step):
-    """Return whether samples along an edge of RRT-Connect, from p[a:] to p[b:], stay within the constraint
-    tolerances.
+    """Sample joint positions along an edge of RRT-Connect, from p[a:] to p[b:]. Return whether all samples
+    are within the constraint tolerances.
     """
     dof = n[DOF]
     count = max(int(np.ceil(_apart(p, a, b, dof) / step)), 1)
@@ -138,8 +138,8 @@ def _clear(k, p, a, out, first, end, step):
 
 @njit(cache=True)
 def walk(k, n, c, x, p, a, to, out, most, rules, stop):
-    """Walk in RRT-Connect from p[a:] toward p[to:] in steps that are projected onto the constraints, as long
-    as the steps are collision-free.
+    """Extend an RRT-Connect tree in steps from the joint positions p[a:] toward p[to:]. Each step is
+    projected onto the constraints, and the extension ends at the first step in collision.
 
     Args:
         out: where the rows are written in p. most: maximal number of rows, at least one less than the buffer

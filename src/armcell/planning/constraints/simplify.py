@@ -83,8 +83,8 @@ def _shortcuts(k, n, c, x, p, count, tried, f, t, at, rules, stop):
 
 @njit(cache=True)
 def _sweep(k, n, c, x, p, count, tried, f, t, at, rules):
-    """Smooth a path under constraints: move each row toward the middle of
-    its neighbors if the new edges are proven valid.
+    """Smooth a path under constraints: move each inner waypoint toward the midpoint of its two neighbors if
+    the new edges are proven valid.
 
     Return the number of moved rows.
     """

@@ -97,8 +97,8 @@ class VisibilityManifold(ConstraintManifold):
         return True
 
     def _room(self, view: _View, q: Array, moves: Array, back_angle: float = 0.0, back: float = 0.0) -> float:
-        """Return the smallest margin [rad or m] that a visibility constraint still has if each joint deviates
-        from q (dof,) by at most `moves`.
+        """Return the smallest margin [rad or m] to the limits of a visibility constraint when each joint is
+        at most `moves` (dof,) away from q (dof,).
 
         Minus infinity means that q itself violates the constraint.
         """
@@ -133,8 +133,8 @@ class VisibilityManifold(ConstraintManifold):
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """Visibility constraint with bounds (dof,) for each joint: how far the joint can move the constraint's
-    sensor, its target and the robot's links per unit of joint motion.
+    """Visibility constraint with precomputed motion bounds: how far one unit of each joint's motion can move
+    the sensor, the target and the robot's links.
     """
 
     constraint: VisibilityConstraint
@@ -199,8 +199,8 @@ def _carriers(scene: PlanningScene, names: tuple[str, ...], link: str) -> set[in
 
 
 def _multipliers(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
-    """Return how far the sensor or target link of a visibility constraint can
-    rotate per radian of each joint, as an array (dof,).
+    """Return the largest rotation (dof,) [rad] of a visibility constraint's sensor or target link per radian
+    of each joint.
     """
     total = np.zeros(len(names))
     for k, multiplier in _moving(scene, names, link):

@@ -193,7 +193,9 @@ def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) ->
 
 
 def _aside(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
-    """Suggest moving the last waypoint of a Cartesian path in one of 26 directions, or else rotating it."""
+    """Suggest a translation and a rotation of a Cartesian path's last waypoint that each make the path
+    feasible. Each search tries 26 directions.
+    """
     goal, rest = request.waypoints[-1], request.waypoints[:-1]
 
     def shifted(step: np.ndarray) -> SE3:
@@ -238,8 +240,8 @@ def _first(diagnosis: Diagnosis, request: CartesianRequest, rest, sizes, pose, i
 
 
 def _least(diagnosis: Diagnosis, request: CartesianRequest, rest, step: np.ndarray, pose) -> np.ndarray:
-    """Reduce a translation or rotation (3,) of the last waypoint by bisection.
-    The Cartesian path must stay feasible.
+    """Find by bisection the smallest translation or rotation (3,) of the last waypoint, in the direction of
+    `step`, that makes the Cartesian path feasible.
     """
     low, high = 0.5, 1.0
     for _ in range(4):

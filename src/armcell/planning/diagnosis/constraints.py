@@ -75,8 +75,8 @@ def tolerance_text(one: One) -> str:
 
 
 def scaled_constraint(one: One, factor: float) -> One | None:
-    """Return a constraint whose tolerance is multiplied by a factor; a diagnosis suggests such looser
-    constraints.
+    """Return a copy of a constraint whose tolerance is multiplied by `factor`. A diagnosis tests and suggests
+    such copies as looser constraints.
 
     Return None for a half space, which has no size, and for a visibility constraint.
     """
@@ -95,7 +95,8 @@ def scaled_constraint(one: One, factor: float) -> One | None:
 
 
 def widened_constraint(one: One, error: ConstraintResidual) -> One:
-    """Suggest a wider constraint that a state with the given error satisfies with a small margin.
+    """Return a wider copy of a constraint. A state with the given error satisfies the copy with a small
+    margin, so that a diagnosis can suggest it.
 
     Args:
         one: the constraint of the error, or an already widened copy of this constraint.

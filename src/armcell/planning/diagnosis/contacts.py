@@ -27,14 +27,12 @@ SPARE = 1e-3  # [m] added to the smallest shift
 
 
 def pairs_of(contacts: Iterable[Contact]) -> list[tuple[str, str]]:
-    """List the pairs of bodies that the contacts of a diagnosis involve."""
+    """List the names of both bodies in each contact of a diagnosis."""
     return [(c.body_a, c.body_b) for c in contacts]
 
 
 def objects_in(scene: PlanningScene, contacts: Iterable[Contact]) -> list[str]:
-    """List the objects of the world that the contacts of a diagnosis involve, in the order of the
-    contacts.
-    """
+    """List the names of the world's objects in the contacts of a diagnosis, in the order of the contacts."""
     return list(dict.fromkeys(n for pair in pairs_of(contacts) for n in pair if n in scene.objects))
 
 

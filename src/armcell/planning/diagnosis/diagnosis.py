@@ -68,8 +68,8 @@ def change_waypoints(
 
 
 def replace_by_free_motion(scene: PlanningScene, request: CartesianRequest) -> SceneAndRequest:
-    """Apply a suggested change that replaces a motion on straight
-    lines with a free motion to its last waypoint.
+    """Apply a diagnosis's suggestion: replace a straight-line (Cartesian) motion by a free motion to the last
+    waypoint of the Cartesian request.
     """
     goal = PoseGoal(request.waypoints[-1], request.link)
     return scene, PlanRequest(
@@ -106,8 +106,8 @@ def change_mass(scene: PlanningScene, request: Request, name: str, mass: float) 
 
 
 def reset_state(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Apply a suggested change that sets joint positions in the robot state of the scene.
-    The previous positions may be invalid.
+    """Apply a diagnosis's suggestion: set new joint positions in the scene's robot state, because the
+    previous positions may be invalid.
     """
     positions = np.array(scene.positions)
     positions[scene.model.columns(state.joint_names)] = state.positions
@@ -210,7 +210,8 @@ class Diagnosis:
         return None
 
     def tip_distance(self, a: Array, b: Array) -> float | None:
-        """Return how far the tip moves [m] between two configurations (n,) of a diagnosis.
+        """Return the distance [m] between the tip's positions at two configurations a and b (n,) of the
+        diagnosed group.
 
         Return None if the group has no tip.
         """
@@ -229,7 +230,9 @@ class Diagnosis:
         return np.random.default_rng([getattr(self.request, "seed", 0), 2])
 
     def group_state(self, q: Array) -> JointState:
-        """Create a JointState from positions q (n,) of the group in a diagnosed request."""
+        """Create a JointState for the planning group of a diagnosed request from the group's joint positions
+        q (n,).
+        """
         return JointState(self.joint_names, q)
 
     # --- findings ---
@@ -244,8 +247,8 @@ class Diagnosis:
             self.details.append(line)
 
     def succeeds(self, scene: PlanningScene, request: Request, seconds: float = TRY) -> PlanResult | None:
-        """Test a suggestion of a diagnosis by planning the modified request. Return None if planning fails,
-        the request is invalid, or no time is left.
+        """Plan a changed request, to test whether a diagnosis can suggest the change. Return the result, or
+        None if planning fails, the request is invalid, or no time is left.
         """
         if self.time_left <= 0:
             return None
@@ -329,8 +332,8 @@ def report_distance(diagnosis: Diagnosis, what: str, a: Array, b: Array) -> None
 
 
 def wanted_joints(diagnosis: Diagnosis, goal: JointGoal | NamedGoal) -> np.ndarray | None:
-    """Return the joint positions (n,) of the group that the goal of a diagnosed request asks for, even if
-    they violate limits.
+    """Return the joint positions (n,) that a joint goal or named goal of a diagnosed request specifies for
+    the group, even if the positions violate joint limits.
 
     Return None for misuse.
     """

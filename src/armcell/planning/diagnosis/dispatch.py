@@ -35,8 +35,8 @@ EXPLAINERS: dict[ErrorCode, Callable[[Diagnosis], None]] = {
 
 
 def with_explanation(kind: type) -> Callable[[F], F]:
-    """Decorate a planning function for one kind of request, so that its failed results can be explained by
-    the matching diagnosis.
+    """Decorate the planning function for one kind of request. A failed result then carries a function that
+    runs the diagnosis for this kind of request.
     """
 
     def decorate(solve: F) -> F:

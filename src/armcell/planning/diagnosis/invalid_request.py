@@ -68,8 +68,8 @@ def diagnose_invalid_request(diagnosis: Diagnosis, error: InputError) -> None:
 
 
 def _like(name: str, known: list[str]) -> list[str]:
-    """List known names that are similar to an unknown name in an
-    invalid request (misuse), most likely name first.
+    """List the known names that are similar to an unknown name in an invalid request, most similar name
+    first.
     """
     folded = {k.lower(): k for k in known}
     like = difflib.get_close_matches(name.lower(), folded, n=3, cutoff=0.5)
@@ -163,7 +163,5 @@ def _goal_without_tip(diagnosis: Diagnosis) -> None:
 
 
 def missing_result(error: InputError) -> PlanResult:
-    """Create the failed planning result of an invalid request
-    (misuse) from the exception that the request caused.
-    """
+    """Create the failed planning result for an invalid request from the `InputError` that it raised."""
     return PlanResult(code_of(error), str(error))

@@ -53,8 +53,8 @@ def nearest_free(q: ArrayLike, free: Free, lower: Array, upper: Array, seed: int
 
 
 def _pulled(at: Array, p: Array, free: Free) -> Array:
-    """Move a collision-free configuration p closer to `at`: reset the joints that need not differ, and bisect
-    the others.
+    """Move a collision-free configuration p closer to the configuration `at`: set each joint to its value in
+    `at` if p remains collision-free, then bisect between p and `at`.
     """
     for k in np.argsort(np.abs(p - at)):  # small detours first
         only = p.copy()

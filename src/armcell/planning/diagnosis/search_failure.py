@@ -75,10 +75,10 @@ def _report_search(diagnosis: Diagnosis) -> None:
 
 
 def _more_time(diagnosis: Diagnosis, request: PlanRequest) -> bool:
-    """Test whether a failed search finds a path with more planning time.
-    The test is skipped unless the request allowed little time.
+    """Test whether a failed search finds a path with more planning time. Skip the test if the request already
+    allowed two seconds (TRY) or more.
 
-    Five seconds without success are conclusive.
+    Two seconds without success are conclusive.
     """
     if request.planning_time >= TRY:
         return False
@@ -178,7 +178,9 @@ def _in_the_way(diagnosis: Diagnosis, request: PlanRequest) -> None:
 
 
 def _by_suspicion(diagnosis: Diagnosis) -> list[str]:
-    """Sort the objects of the scene; those that a failed search touched come first."""
+    """Sort the names of the scene's objects for a diagnosis: objects in the contacts of the failed search
+    come first.
+    """
     met = [n for c in diagnosis.contacts for n in (c.body_a, c.body_b)]
     return sorted(diagnosis.scene.objects, key=lambda name: (name not in met, name))
 

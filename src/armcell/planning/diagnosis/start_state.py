@@ -154,8 +154,8 @@ def explain_start(measured: JointState, planned: JointState, tolerance: float, c
 
 
 def start_from(scene: PlanningScene, request: PlanRequest, state: JointState) -> SceneAndRequest:
-    """Apply a suggested change that removes an invalid start from the
-    request and sets the scene's state to the measured state.
+    """Apply a diagnosis's suggestion: set the scene's robot state to the measured state, and remove the
+    invalid start from the request.
     """
     return change_request(scene.with_state(state), request, start=None)
 

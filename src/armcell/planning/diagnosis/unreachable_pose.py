@@ -37,12 +37,13 @@ class IKBranch:
 
     @property
     def free(self) -> bool:
-        """Whether a joint solution of the diagnosed pose is within the joint limits and free of contact."""
+        """Return whether an IK solution of the diagnosed pose is within the joint limits and free of contact.
+        """
         return not self.contacts and not self.beyond
 
     def reason(self, model: RobotModel) -> str:
-        """Describe the contacts and limit violations of a joint solution of the diagnosed pose; return "free"
-        if there are none.
+        """Describe why an IK solution of an unreachable pose is invalid: by its limit violations, or else by
+        its contacts. Return "free" if it has neither.
         """
         outside = [
             f"{n} {text_format.joint_value(model, n, v)} beyond its limit" for n, v in self.beyond.items()

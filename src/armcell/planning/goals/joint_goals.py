@@ -140,12 +140,14 @@ class _GoalFilter:
         return not why
 
     def first(self, positions: Iterable[Array], count: int) -> list[Array]:
-        """Return the first `count` positions of a joint goal that are collision-free and allowed."""
+        """Return the first `count` candidate joint positions of a goal that are collision-free and that the
+        request allows.
+        """
         return list(islice((q for q in positions if self.usable(q)), count))
 
     def contacts(self, q: Array) -> list[Contact]:
-        """Return the contacts at joint positions (n,) of a goal that the kernel rejects, or the nearest pair
-        of bodies if the meshes do not touch.
+        """Return the contacts at goal positions q (n,) that the collision kernel rejects. If the exact meshes
+        do not touch, return the nearest pair of bodies instead.
         """
         nearest = self.checker.exact.nearest
         return self.checker.exact.contacts(q) or [c for c in (nearest(q),) if c is not None]
@@ -255,8 +257,8 @@ DISTINCT = 1e-2  # [rad or m] goals with a smaller difference in every joint cou
 def stream_goals(
     validated: ValidatedRequest, checker: KernelChecker, known: Sequence[Array], seed: int
 ) -> Iterator[Array] | None:
-    """Convert the goals of a request to further collision-free joint positions (n,), and yield them while the
-    search of a planner is running.
+    """Yield further collision-free joint positions (n,) that meet the goals of a request. They are computed
+    one by one while the planner is searching.
 
     The positions of the request's goals alternate. Nothing is computed before the first position is
     requested. The result is None if the goals have no further positions.

@@ -48,7 +48,8 @@ EQUIVALENTS = 4  # number of positions that differ by full turns
 
 
 def is_region(goal: Goal) -> bool:
-    """Return whether a goal allows a region of joint positions from which a planner can sample.
+    """Return whether many different joint positions can meet a goal, so that a planner can sample goal
+    configurations.
 
     This is the case for pose goals, constraint goals, and joint goals with a tolerance above `WIDE[0]`. All
     other joint goals specify one configuration, apart from full turns of joints.
@@ -120,8 +121,8 @@ def _of_joints(
 def full_turn_equivalents(
     model: RobotModel, joint_names: tuple[str, ...], q: Array, start: Array
 ) -> list[Array]:
-    """List joint positions that equal the goal sample q (n,) except for full turns of joints; those nearest
-    to the start come first.
+    """List the joint positions (n,) that differ from the goal sample q (n,) only by full turns of joints,
+    sorted by distance from the start.
 
     Joints that drive a mimic joint at a non-integer ratio keep their position.
     """
@@ -145,8 +146,8 @@ def full_turn_equivalents(
 def _of_pose(
     scene: PlanningScene, group: str, goal: PoseGoal, rng: np.random.Generator, deadline: float
 ) -> Iterator[Array]:
-    """Sample joint positions for a pose goal: solutions of the exact pose alternate with those of random
-    poses within the tolerances.
+    """Sample joint positions for a pose goal. IK solutions of the exact goal pose alternate with IK solutions
+    of random poses within the goal's tolerances.
 
     The exact solutions include equivalents by full turns; random poses are solved from random references.
     """

@@ -163,8 +163,8 @@ class MovingArmTimeline:
         return self.arms.contact(np.concatenate([q, self.others_at(at)]))
 
     def keeps_clearance(self, p: Array, s: float, q: Array, t: float, more: float = 0.0) -> bool:
-        """Return whether the motion from (p, s) to (q, t) keeps the required clearance to the moving arms,
-        plus `more` [m].
+        """Return whether a straight joint motion, from p (n,) at time s [s] to q (n,) at time t [s], keeps
+        the clearance to the moving arms. `more` [m] is added to the required clearance.
         """
         inside = self.times[(self.times > s) & (self.times < t)]
         clock = np.concatenate([[s], inside, [t]]) if t > s else np.array([s])
@@ -250,8 +250,8 @@ def _earliest(
     latest: float, deadline: float,
     cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search in joint space and time for the motion of one arm around the moving arms that reaches a goal
-    earliest.
+    """Search in joint space and time for one arm's motion that avoids the moving arms and reaches a goal as
+    early as possible.
 
     Return a certified smooth motion that arrives before `latest` [s], or None. See `_searched`.
     """
@@ -299,8 +299,8 @@ def _earliest(
 
 
 def _horizon(problem: SpaceTimeProblem, timeline: MovingArmTimeline, arrivals: list[float]) -> float:
-    """Compute the latest arrival time [s] at a goal that the search for a motion around the moving arms
-    considers.
+    """Compute the arrival time [s] at which the space-time search gives up: it considers no motion that
+    reaches the goal later.
 
     The time suffices for a detour after the other arms have come to rest.
     """

@@ -23,7 +23,9 @@ SLIP_EVERY = 10  # cycles between two measurements of the slip
 
 @dataclass
 class CarryRecord:
-    """Largest relative pose error of the hands, squeeze force and slip while two arms carry an object."""
+    """Largest values measured while two arms carry an object: error of the relative pose of the hands,
+    squeeze force, and slip of the object.
+    """
 
     off_m: float = 0.0
     turn_rad: float = 0.0

@@ -105,7 +105,9 @@ class HandPair:
         return self._tcp_poses(full)
 
     def measured_tcp_poses(self) -> dict[str, SE3]:
-        """Return the measured T_world_tcp of both hands of a pair, by arm group."""
+        """Return the measured TCP poses T_world_tcp of the two hands that handle one object together, by arm
+        group.
+        """
         return self._tcp_poses(self.ctx.driver.joint_state().positions)
 
     def _tcp_poses(self, q: Array) -> dict[str, SE3]:
@@ -179,8 +181,8 @@ class HandPair:
         correct: Callable | None = None, watch: Callable | None = None,
         evidence: Mapping[str, Any] = MappingProxyType({}), planned_in: PlanningScene | None = None,
     ) -> Outcome:  # fmt: skip
-        """Execute a trajectory of the two arms that handle one object together (`HandPair`) as one stage of a
-        task, with `coupled.play`.
+        """Execute a synchronized trajectory of the two arms that handle one object together, as one stage of
+        a task.
         """
         report = report or StageReport(name, "cartesian")
         return play(

@@ -31,8 +31,8 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CycleTimes:
-    """Estimated durations of grasping and of placing one object, for estimating how long an arm takes to
-    carry several objects in a given order.
+    """Estimated times for grasping and for placing one object. The cost of an object order adds them to the
+    travel times of the arm.
 
     The defaults are means of 64 picks and 64 placements of two UR10 at a task's default speeds.
     """
@@ -90,8 +90,8 @@ class TourEstimator:
         return (*segments, TourSegment(seconds, motion_ends=(q, self._start)))
 
     def _fetched(self, order: tuple[str, ...]) -> tuple[tuple[TourSegment, ...], F64]:
-        """Return the segments of the arm's tour that places the objects in `order`, without the return
-        motion. Also return the joint positions (n,) after the last segment.
+        """Return the tour segments in which an arm carries objects to their destinations in `order`, and the
+        joint positions (n,) after the last segment. The return motion is not included.
         """
         if not order:
             return (), self._start
@@ -109,8 +109,8 @@ class TourEstimator:
         ), there
 
     def _motions(self, item: str, q: F64) -> tuple[float, F64, F64] | None:
-        """Estimate how an arm fetches one object during its tour: the time [s] to reach it, and the joint
-        positions above the object and above its zone.
+        """Estimate the motions with which an arm carries one object. Return the time [s] to reach the object,
+        and the joint positions (n,) above the object and above its destination.
         """
         s, pose = self.settings, self.scene.object(item).T_world_object
         near = self._reaching.nearest_first(pose, self._grasps[item], q, s.free)
@@ -282,8 +282,8 @@ DECIMALS = 3  # [rad] positions that agree to these decimals share a cache entry
 
 
 class ConflictCache:
-    """Cache for comparing object orders: it stores where the motion of one arm conflicts with the working
-    pose of another arm.
+    """Cache used to compare object orders of several arms. It stores the section of one arm's motion in which
+    the arm comes too close to another arm at work.
     """
 
     def __init__(self, scene: PlanningScene, groups: tuple[str, ...]):
@@ -294,8 +294,8 @@ class ConflictCache:
     def conflict_section(
         self, arm: int, segment: TourSegment, other_arm: int, other: TourSegment
     ) -> tuple[float, float] | None:
-        """Return the section of an arm's motion in which the arm comes too close to the working pose of
-        another arm. Return None if the arms keep their clearance or a motion is unknown.
+        """Return the section of one arm's motion in which it comes too close to another arm at work. Return
+        None if the arms keep their clearance or the motion of either arm is unknown.
 
         The section is a pair of fractions (0..1) of the motion. `detours` tests whether the arm passes this
         section while the other arm works.

@@ -199,8 +199,8 @@ class MotionCoordinator:
 
     # --- motions ---
     def request_start(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
-        """Wait until the coordinator allows an arm to start its motion, or a detour to the same goal.
-        Return the allowed motion.
+        """Wait until the coordinator allows an arm to start the requested motion or a detour to the same
+        goal. Return the allowed motion, or the failure if the wait times out or is canceled.
         """
         me, straight = ctx.group, motion.planner == "cartesian"
         began = ctx.driver.now
@@ -312,8 +312,8 @@ class MotionCoordinator:
         return found if self._free(ctx, scene, found, others, ctx.driver.now) else None
 
     def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
-        """Execute a motion that the coordinator has planned on its own: the arm moves out of the way of
-        another arm, or returns from there.
+        """Execute a motion that the coordinator has added to an arm's program: the arm clears the path of
+        another arm, or returns to the start of its requested motion.
         """
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
         ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
@@ -334,8 +334,8 @@ class MotionCoordinator:
         return running.trajectory.duration == 0.0  # a real arm rests when its driver reports it
 
     def _has_lower_priority(self, me: str) -> bool:
-        """Return whether the coordinator gives another arm priority,
-        because that arm has waited longer for its motion and this arm is in its way.
+        """Return whether this coordinated arm must let another arm move first: the other arm has waited
+        longer to start its motion, and this arm blocks that motion.
         """
         mine = self.waits.get(me)
         return mine is not None and any(
@@ -345,8 +345,8 @@ class MotionCoordinator:
         )
 
     def _resolve_wait(self, ctx: ArmContext) -> None:
-        """Resolve a deadlock of coordinated arms: yield to an arm that has priority,
-        or ask the arms in the way to yield if they are idle.
+        """Resolve a deadlock of coordinated arms. If another arm has priority or has asked this arm to yield,
+        this arm yields. Otherwise, it asks the resting arms that block its motion to yield.
         """
         me = ctx.group
         if self._has_lower_priority(me) or self.asked[me]:
@@ -444,8 +444,8 @@ class MotionCoordinator:
         self.waits.pop(ctx.group, None)
 
     def park(self, ctx: ArmContext) -> None:
-        """Keep a coordinated arm at rest after the end of its program.
-        Until all other programs end, the arm yields if asked to.
+        """Keep a coordinated arm at rest after its program has ended, until all other programs end. If
+        another arm needs the space, the resting arm moves to its home state.
         """
         ctx.ended = True
         while not ctx.cancel.is_set() and not all(

@@ -172,8 +172,8 @@ class ChooseGraspPair:
     def _approaches(
         self, scene: PlanningScene, group: str, T_world_object: SE3
     ) -> Iterator[tuple[JointTrajectory, SE3]]:
-        """Yield straight approaches of one arm to the end of the object that this arm grasps.
-        Each approach is paired with its grasp T_object_tcp.
+        """Yield straight approaches with which one arm of a two-arm pick reaches its end of the object. Each
+        approach is paired with its grasp pose T_object_tcp.
         """
         hands, gripper, s = self.hands, self.hands.grippers[group], self.hands.settings
         alone = without_arms(_with_open_hands(hands, scene), hands.other(group))

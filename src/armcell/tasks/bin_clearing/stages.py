@@ -89,9 +89,7 @@ class CloseOnHeap:
 
 
 def _below_tcp(grasp: HeapGrasp, z: float) -> float:
-    """Return the height [m] of the TCP above the world height `z` at a grasp, for the stages of bin
-    clearing.
-    """
+    """Return the vertical distance [m] from the world height `z` up to the TCP at a bin-clearing grasp."""
     return float(grasp.T_object_tcp.translation[2]) - z
 
 

@@ -34,8 +34,8 @@ class WorkRegion:
 
 @dataclass(frozen=True, eq=False)
 class RegionView:
-    """Height map and object labels of a work region, an area that bin clearing searches for objects, computed
-    from one depth image.
+    """Height map and object labels of a work region, computed from one depth image. Bin clearing searches the
+    work region for objects.
     """
 
     region: WorkRegion

@@ -36,8 +36,8 @@ class GripperTranslation:
     minimum: float = 0.0  # [m] shorter motions fail; 0: only the full translation succeeds
 
     def accepted(self, result: PlanResult) -> PlanResult:
-        """Mark the planned straight approach or retreat of a caller-specified grasp as a success if the
-        motion covers at least the minimum distance.
+        """Return the result of planning this straight approach or retreat. If the motion covers at least the
+        minimum distance, mark the result as a success.
         """
         done = result.fraction * float(np.linalg.norm(self.desired))
         if result.trajectory is not None and 0 < self.minimum <= done + 1e-6:
@@ -84,7 +84,9 @@ class UseGrasps:
 @stage_types.register("lift")
 @dataclass(frozen=True, eq=False)
 class Lift:
-    """Stage that lifts the object from its support along the grasp's post-grasp retreat."""
+    """Stage that lifts the object from its support with the post-grasp retreat that the explicit grasp
+    specifies.
+    """
 
     object: str
     gripper: Gripper
@@ -166,7 +168,7 @@ class UsePlacements:
 @stage_types.register("retreat")
 @dataclass(frozen=True, eq=False)
 class Retreat:
-    """Stage that retreats from an object after its release at an explicit placement.
+    """Stage that moves the hand away from the object after releasing it at a caller-specified placement.
 
     It uses the retreat of the placement, or else moves straight along the hand's axis.
     """

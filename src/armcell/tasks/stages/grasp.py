@@ -57,7 +57,8 @@ class ReachEstimator:
     def nearest_first(
         self, T_world_object: SE3, grasps: Sequence[Grasp], q: Array, speed: Speed
     ) -> list[ReachEstimate]:
-        """Sort grasps of about equal quality by the time that the arm needs to reach them, nearest first.
+        """Estimate the time in which the arm reaches each of the best grasps, which are of about equal
+        quality. Return the estimates, shortest time first.
 
         On a cube, for example, the grasps on its four sides are equally good.
 
@@ -109,8 +110,8 @@ SECONDS_BESIDES = 3.0  # [s] of a pick that do not depend on the grasp (approach
 @stage_types.register("choose_grasp")
 @dataclass(frozen=True, eq=False)
 class ChooseGrasp:
-    """Stage of a pick that proposes grasps with a free straight approach,
-    which is planned backward from the grasp.
+    """Stage of a pick that proposes grasps, each with a collision-free straight approach. The stage plans the
+    approach backward from the grasp.
     """
 
     object: str

@@ -49,7 +49,9 @@ class UprightConstraint:
         require(0 < self.lean < np.pi / 2, f"lean is {self.lean:g} rad, it must be above 0 and below pi / 2")
 
     def constraints(self, scene: PlanningScene) -> Constraints:
-        """Return path constraints for a move that keep the most vertical axis of the held object vertical."""
+        """Return path constraints that keep the held object upright during a move: the object axis that is
+        nearest to vertical must stay vertical.
+        """
         R = scene.object(self.object).T_world_object.rotation.matrix
         k = int(np.argmax(np.abs(R[2])))
         axis, up = R[:, k], np.array([0.0, 0.0, np.sign(R[2, k])])
@@ -116,8 +118,8 @@ def goal_data(goal: Goal) -> Any:
 def _planned(
     scene: PlanningScene, request: PlanRequest, planning: SearchState
 ) -> tuple[PlanResult, PlanRequest]:
-    """Plan the motion of a stage. After a timeout, retry while part of the requested CPU time is left. Return
-    the last result and its request.
+    """Plan the motion of a stage. After a timeout, retry with another seed while enough of the requested CPU
+    time is left. Return the last result and the request that produced it.
 
     Planners stop by the wall clock, which also runs while other programs use the CPU. The remaining CPU time
     is therefore used for further attempts with other seeds.
@@ -194,8 +196,8 @@ def with_motion(
     outcome: Outcome | None = None, planned_in: PlanningScene | None = None,
     asked: Mapping[str, Any] = MappingProxyType({}),
 ) -> Iterator[PartialSolution]:  # fmt: skip
-    """Yield the solution extended by a planned move of the arm.
-    If the plan failed, reject the candidate instead.
+    """Yield the partial solution extended by a planned motion of the arm. If planning has failed, reject the
+    candidate and yield nothing.
 
     Args:
         outcome: result of a motion from the robot's present state, for its code. Omit it for a motion from a

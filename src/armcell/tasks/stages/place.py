@@ -92,8 +92,8 @@ class ChoosePlacement:
                     yield from self._descents(solution, planning, other)
 
     def _turned(self, scene: PlanningScene, placement: Placement) -> Iterator[Placement]:
-        """Yield the placement rotated about the surface normal to each angle that an arm with few joints can
-        reach.
+        """Yield copies of a placement, each rotated about the surface normal to an angle that the arm can
+        reach. An arm with few joints reaches only few angles.
 
         Jaws that rotate as they close hold an object at an angle to the tool, so such an arm reaches the
         placement at few angles only.

@@ -79,8 +79,8 @@ class Act(Behaviour):
         return Status.SUCCESS if outcome.ok else Status.FAILURE
 
     def terminate(self, new_status: Status) -> None:
-        """Clean up when a behavior tree node ends.
-        If the tree has left this branch, stop the node's recipe.
+        """Clean up when a behavior tree node ends or the tree switches to another branch. If the node's
+        recipe (for example a pick) still runs, stop it.
         """
         if self._turn is not None:
             self._turn.stop()
@@ -90,8 +90,8 @@ class Act(Behaviour):
 
 
 class Check(Behaviour):
-    """Node of a behavior tree whose result is immediate,
-    such as a query of the scene or a look with a camera.
+    """Node of a behavior tree that finishes in one tick, such as a query of the scene or an observation with
+    a camera.
     """
 
     def __init__(self, name: str, ask: Callable[[], Outcome]):
@@ -124,7 +124,8 @@ class _RecipeThread:
         ctx.observers.append(self)
 
     def step(self, duration: float) -> Outcome | None:
-        """Run the recipe of a behavior tree node for a duration [s] on the driver's clock.
+        """Let the recipe of a behavior tree node (for example a pick) run for a duration [s] on the driver's
+        clock.
 
         Returns:
             The recipe's outcome if it has ended, else None.
@@ -209,7 +210,7 @@ def as_dot(root: Behaviour) -> str:
 
 
 def reasons(root: Behaviour) -> list[str]:
-    """Return the feedback of all leaf nodes of a behavior tree that failed in the last run."""
+    """Return the failure messages of all leaf nodes that failed in the last run of a behavior tree."""
     return [
         f"{node.name}: {node.feedback_message}"
         for node in root.iterate()

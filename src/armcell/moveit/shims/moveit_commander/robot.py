@@ -90,8 +90,8 @@ class RobotCommander:
         return WORLD
 
     def get_robot_markers(self, *args: Any) -> Any:
-        """Return a MarkerArray that shows the robot's collision geometry at its current pose, like
-        RobotCommander.
+        """Return a MarkerArray of the robot's collision geometry at the current joint positions. Replaces the
+        method of MoveIt's RobotCommander.
         """
         session, scene = current_session(), measured_scene()
         wanted = args[0] if args and isinstance(args[0], list | tuple) else list(scene.model.links)

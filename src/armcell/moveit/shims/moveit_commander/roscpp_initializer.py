@@ -12,6 +12,6 @@ def roscpp_initialize(args: Any) -> None:
 
 
 def roscpp_shutdown() -> None:
-    """Do nothing, because the cell ends with the script.
-    In MoveIt, roscpp_shutdown shuts down the C++ node.
+    """Do nothing: armcell stops the cell when the script exits. MoveIt's roscpp_shutdown shuts down the C++
+    node.
     """
