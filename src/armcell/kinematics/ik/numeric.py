@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -27,41 +27,22 @@ from armcell.model import Joint, Link, RobotModel
 DISTINCT = 1e-2  # [rad or m] in any joint
 
 
-class IKProblem(NamedTuple):
-    """Problem of numeric inverse kinematics, bundled as one argument of the compiled search.
-
-    Python passes it as a plain tuple: Numba takes 2 us longer to find the type of a named tuple.
-
-    Attributes:
-        table, bounds, turning: the chain, see `Chain`.
-        goal: (12,) desired pose of the tip in the chain's base frame.
-        scale: weight of a meter against a radian [1/m].
-        reference: (n,) positions near which the solutions' full turns are chosen.
-        iterations: maximum number of iterations for each seed.
-        position_tolerance: [m].
-        rotation_tolerance: [rad].
-    """
-
-    table: Any
-    bounds: Any
-    turning: Any
-    goal: Any
-    scale: float
-    reference: Any
-    iterations: int
-    position_tolerance: float
-    rotation_tolerance: float
-
-
 def ik_problem(
     chain: Chain, goal: NDArray[np.float64], reference: NDArray[np.float64], settings: IKSettings
 ) -> tuple[Any, ...]:
-    """Return the fields of `IKProblem` for bringing the tip of a chain to the pose `goal` (12,)."""
+    """Return the problem of numeric IK as one argument of the compiled search.
+
+    The problem is a plain tuple, because Numba takes 2 us longer to find the type of a named tuple.
+
+    Args:
+        goal: (12,) desired pose of the tip in the chain's base frame.
+        reference: (n,) positions near which the solutions' full turns are chosen.
+    """
     s = settings
-    return tuple(IKProblem(
+    return (
         chain.table, chain.bounds, chain.turning, goal, chain.position_weight, reference, s.max_iterations,
         s.position_tolerance, s.rotation_tolerance,
-    ))  # fmt: skip
+    )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
@@ -70,7 +51,7 @@ def search(problem, seeds, scores, tries, found, count, want):
     them to `found` at row `count`.
 
     Args:
-        problem: the fields of `IKProblem`.
+        problem: see `ik_problem`.
         seeds: (s, n) seeds, tried by increasing score; the score of a tried seed becomes infinite.
         tries: maximum number of seeds to try in this call.
     Returns:
