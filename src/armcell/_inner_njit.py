@@ -19,8 +19,8 @@ from numba.core.typed_passes import NativeLowering
 
 
 class _LinkedLibrary(JITCodeLibrary):
-    """Numba code library of a function that only compiled code calls (inner function). The library is linked
-    into the callers' libraries and is never executed by itself.
+    """Numba code library of a function that only other compiled functions call. Numba links this library into
+    the callers' libraries and produces no machine code for this library alone.
     """
 
     def _optimize_final_module(self) -> None:
@@ -56,7 +56,8 @@ class _OfferToCallers(LoweringPass):
 
 
 class _InnerCompiler(CompilerBase):
-    """Numba compiler for functions that only compiled code calls (inner functions).
+    """Numba compiler for inner functions. Other compiled functions can call an inner function, but Python
+    code cannot.
 
     It compiles in nopython mode to LLVM code, without optimization, Python wrappers or machine code. The
     code is optimized and translated as a part of the outermost caller.

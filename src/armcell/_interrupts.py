@@ -353,8 +353,8 @@ def _is_ours(error: BaseException | None) -> bool:
 
 
 def _unraisable(report: Any) -> None:
-    """Record that Python swallowed the exception `Interrupted` in a destructor or callback (hook for
-    unraisable exceptions).
+    """Record that Python ignored an `Interrupted` exception, for example an exception raised in a destructor.
+    armcell installs this function as `sys.unraisablehook`.
     """
     if _is_ours(report.exc_value):
         _state.swallowed = True

@@ -47,8 +47,8 @@ def gate_file(cell: Cell) -> Path:
 def issue(
     cell: Cell, folder: str | Path, file: Path, least: float = LEAST, allow_unvaried: str | None = None
 ) -> dict[str, Any]:
-    """Write a signed gate record for a finished campaign if the campaign proves a sufficiently high success
-    rate.
+    """Write the gate record of a finished campaign: the signed file that permits the cell's task to run on
+    real arms. Raise an error if the campaign's success rate is too low.
 
     Args:
         cell: cell of the record: the campaign's cell with its `values`.
@@ -120,8 +120,8 @@ def issue(
 
 
 def check_reason(allow_unvaried: str | None) -> None:
-    """Reject an empty reason for the option `--allow-unvaried`.
-    With this option, the gate accepts identical trials.
+    """Raise an error if the user's reason for the option `--allow-unvaried` is blank. This option lets the
+    gate before real arms accept a campaign of identical trials.
 
     Raises:
         InputError: the reason contains no words.
@@ -146,8 +146,8 @@ def check_draws(cell: Cell) -> None:
 
 
 def varied_paths(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the paths of the parameters and randomized values that differ between trials of a campaign,
-    which the gate requires.
+    """Return the paths of all parameters and randomized values that differ between the trials of a campaign.
+    If no value differs, the gate before real arms rejects the campaign.
 
     "drop" means objects that physics drops into a bin, different for each seed. Sensor noise does not
     count, because it leaves the task unchanged.
@@ -220,8 +220,8 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
 def changed_parts(
     then: Mapping[str, str], now: Mapping[str, str], old_versions: Mapping[str, str] | None = None
 ) -> list[str]:
-    """List the parts of a cell, including library versions, whose content hashes have changed since its
-    campaign began or the gate approved it.
+    """List the parts of a cell whose content hashes differ between two states, for example between the
+    approval by the gate and now. Library versions count as parts.
 
     Args:
         then: content hashes of the first state.
@@ -243,8 +243,8 @@ def changed_parts(
 
 # --- the key ---
 def key_file() -> Path:
-    """Return the path of the user's signing key for gate records, the files that permit runs on real arms. An
-    environment variable can override the path.
+    """Return the path of the key that signs the user's gate records. A gate record permits a cell's task to
+    run on real arms. An environment variable can override the path.
     """
     named = os.environ.get(KEY_VARIABLE)
     if named:

@@ -85,7 +85,9 @@ class Workers(ABC, Generic[W]):
         """Start one more worker of the trial pool."""
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the sockets on which the workers of the trial pool and their runtime listen now."""
+        """Return the open sockets of a trial pool: the sockets of its workers and of the runtime that manages
+        the workers, for example Ray.
+        """
         return ()
 
     @abstractmethod

@@ -149,8 +149,8 @@ class RayWorkers(Workers[RayWorker]):
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the open sockets of a Ray campaign: those of this process and, for a private cluster, those
-        of its processes.
+        """Return the open sockets of a campaign that runs its trials on Ray: the sockets of this process and,
+        for a private Ray cluster, also the sockets of the cluster's processes.
         """
         pids = [os.getpid()] if self._folder is None else descendants(os.getpid())
         return tuple(replace(found, service="Ray") for found in sorted(open_sockets(pids)))

@@ -247,8 +247,8 @@ def _drawn(values: dict[str, Any]) -> str:
 
 
 def _linked(number: int, folder: Path) -> str:
-    """Return the number of a trial as HTML for a campaign's report.
-    If a picture of the trial exists, the number links to it.
+    """Return an HTML snippet that shows a trial's number in a campaign report. If a picture of the trial
+    exists, the snippet is a link to this picture.
     """
     there = picture_file(folder, number).exists()
     return f'<a href="#trial_{number}">{number}</a>' if there else str(number)

@@ -42,8 +42,8 @@ def latin_hypercube_draw(seed: int, number: int, dimensions: int) -> Array:
 
 
 def adaptive_draw(seed: int, number: int, failed: Sequence[Array], dimensions: int) -> tuple[Array, bool]:
-    """Sample the parameters (dimensions,) of a trial in [0, 1).
-    Also return whether the sample was placed near an earlier failure.
+    """Sample a trial's normalized parameters (dimensions,) in [0, 1), either uniformly or near an earlier
+    failed trial. Also return whether the sample is near a failed trial.
 
     Args:
         failed: draws of the failed trials of earlier rounds.

@@ -73,7 +73,9 @@ def row_of(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def failed(trial: Trial, error_name: str, message: str) -> dict[str, Any]:
-    """Return the result row of a campaign trial that ended without the result of a run."""
+    """Return the result row of a campaign trial that did not finish, for example because its process crashed
+    or ran out of time. The row states the error.
+    """
     return _row(trial, success=False, error_name=error_name, message=message) | {"wall_s": 0.0, "cpu_s": 0.0}
 
 

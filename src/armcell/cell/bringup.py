@@ -36,7 +36,9 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class BringUpStep:
-    """One step in the bring-up of a cell's real arms, as stored in the record."""
+    """One step in the guided bring-up of a cell's real arms. The bring-up record stores the time and outcome
+    of each step.
+    """
 
     name: str
     arm: str

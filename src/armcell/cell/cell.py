@@ -93,7 +93,8 @@ def with_robot_calibration(scene: PlanningScene, real: dict) -> PlanningScene:
 def with_geometry(
     model: RobotModel, settings: RealSettings, found: Mapping[str, RobotIdentity]
 ) -> RobotModel:
-    """Return a cell's model with calibrated kinematics for every arm whose robot has been identified.
+    """Return a cell's robot model with the factory calibration that the controllers of real arms have
+    reported. Arms without a report keep their kinematics.
 
     Args:
         found: the identities of the robots, by planning group.
@@ -271,7 +272,8 @@ class Cell:
 
     # --- the world ---
     def draw(self, seed: int) -> dict[str, dict[str, float]]:
-        """Return the random values that a seed selects for the objects of a cell.
+        """Draw random properties of a cell's objects, such as position offsets and mass. The seed determines
+        all values.
 
         Returns:
             Per object, those of dx, dy [m], yaw_deg [deg], mass [kg] and friction that are randomized.

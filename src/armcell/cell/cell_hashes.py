@@ -23,7 +23,9 @@ REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that are part of a cell's identity."""
+    """Return the versions of Python, armcell and the main libraries, such as MuJoCo. These versions identify
+    the software that a cell uses.
+    """
     return {"python": platform.python_version(), **{name: _installed(name) for name in REPORTED_PACKAGES}}
 
 

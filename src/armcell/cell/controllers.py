@@ -82,8 +82,8 @@ def controllers_of(
 
 
 def _joints_of(name: str, spec: ControllerSpec, model: RobotModel, where: dict[str, Any]) -> tuple[str, ...]:
-    """Return the joints of an external controller that the cell file defines without joints, inferred from
-    the controller's name.
+    """Infer the joints of an external controller from the controller's name, if the cell file lists no joints
+    for this controller.
 
     A group or gripper with the same name has priority; otherwise the joints of the only arm or gripper.
 

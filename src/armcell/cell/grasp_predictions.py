@@ -138,8 +138,8 @@ def simulate_pick(
 
 
 def _stages(ctx: TaskContext, item: str, gripper: Gripper, grasp: Grasp, hand: _Hand) -> list[Stage]:
-    """Return the stages of a pick with one given grasp,
-    to test the success that was predicted for this grasp.
+    """Return the stages of a pick with one given grasp. The pick tests whether the predicted grasp success is
+    right.
 
     One step records the pose of the object in the hand.
     """
@@ -156,8 +156,8 @@ class _Hand:
         self._closed: SE3 | None = None  # T_tcp_object
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        """Record the pose of an object in the gripper right after grasping. The test of a grasp prediction
-        measures the object's slip from this pose.
+        """Record the pose of an object relative to the gripper right after the grasp. The test of a grasp
+        prediction later measures how far the object has slipped from this pose.
         """
         self._closed = self._now()
         return DONE
@@ -189,8 +189,8 @@ RESAMPLED = 2000  # bootstrap resamples of the objects for the interval of the l
 def scores(
     objects: Sequence[str], probability: Sequence[float], epsilon: Sequence[float], success: Sequence[bool]
 ) -> dict[str, Any]:
-    """Compare the scores of three predictors of grasp success: P from grasp proofs,
-    the quality epsilon alone, and the base rate.
+    """Score three predictors of grasp success on the results of trials: the probability P of the grasp proof,
+    the grasp quality epsilon, and the base rate.
 
     `brier_lead` is the Brier score of epsilon minus that of P, and `brier_lead_interval` its 95 % bootstrap
     interval over objects. An area under the curve is None without successes or without failures.
@@ -248,8 +248,8 @@ def area_under_curve(score: Array, happened: Array) -> float | None:
 
 
 def leave_one_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
-    """Return the base-rate prediction of each trial: the success rate of all other objects, or 0.5 if there
-    are none.
+    """Predict the probability of grasp success in each trial by the base rate: the success rate in the trials
+    of all other objects, or 0.5 without other objects.
     """
     found = np.full(len(happened), 0.5)
     for name in np.unique(objects):
@@ -260,8 +260,8 @@ def leave_one_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
 
 
 def leave_one_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -> Array:
-    """Predict P(success) of each trial from epsilon alone.
-    The logistic curve is fitted to the trials of all other objects.
+    """Predict the probability of grasp success in each trial from the grasp quality epsilon. The logistic
+    curve for a trial is fitted to the trials of all other objects.
     """
     from scipy.optimize import minimize
 
@@ -280,8 +280,8 @@ def leave_one_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Arr
 
 
 def _interval(objects: NDArray[np.str_], lead: Array) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval for the mean lead of one prediction score over another.
-    Objects are resampled.
+    """Return the 95 % bootstrap interval for the mean difference between the Brier scores of two grasp
+    predictors. The bootstrap resamples objects, not trials.
 
     Each resampled object keeps all its trials.
     """

@@ -40,7 +40,8 @@ class Health:
 
     @contextmanager
     def layer(self, name: str) -> Iterator[list[str]]:
-        """Report the health of one layer of a cell, which the `with` block starts.
+        """Report the health of one layer of a cell, such as the drivers or the planner. The code in the
+        `with` block starts this layer.
 
         Texts that the block appends to the yielded list become part of the report.
 
@@ -71,8 +72,8 @@ class Health:
 
 
 def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tuple[Cell, Health]:
-    """Report the health of a cell's first layers (description and controllers), which need no connection.
-    Return the cell and the health report.
+    """Check the layers of a cell that need no connection: the description and the controllers. Return the
+    cell and its health report.
 
     Raises:
         InputError: see `check_description` and `check_controllers`.

@@ -190,8 +190,8 @@ class Arm:
         return self._ctx.reserve(zone)
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the first of `items` whose zone no other arm of the live cell occupies or approaches, for
-        example the next object to pick.
+        """Return the first of `items`, for example objects to pick, whose zone is free. A zone is free if no
+        other arm of the live cell occupies or approaches the zone.
 
         If other arms occupy or approach all zones, return the first item.
         """

@@ -35,7 +35,9 @@ SHAPE_KEYS = (*_SIZED, "mesh", "cloud")
 
 
 def _value_type(kind: ShapeKind) -> Any:
-    """Return the type of a shape's value in a cell file: a list of sizes [m], a single size, or `true`."""
+    """Return the Python type for a shape's dimensions in a cell file: several sizes [m], a single size [m],
+    or `true` for a shape without sizes.
+    """
     if not kind.sizes:
         return Literal[True]
     return float if len(kind.sizes) == 1 else tuple[(float,) * len(kind.sizes)]
@@ -105,7 +107,9 @@ class ShapeSpec(SomeShape):
 
 
 class TypeSpec(Strict):
-    """Cell file schema for an object type, which is a database key as in ROS's object_recognition_msgs."""
+    """Cell file schema for the type of an object: its key and its database, like the message ObjectType of
+    ROS's object_recognition_msgs.
+    """
 
     key: str = ""
     db: str = ""
@@ -285,8 +289,8 @@ class MarkerSpec(Strict):
 
 
 class PerceptionSpec(Strict):
-    """Cell file schema for objects whose poses only a camera measures. The poses are unknown before the first
-    `look`.
+    """Cell file schema for perceived objects. A camera measures their poses, so the poses are unknown before
+    the first `look`.
     """
 
     camera: str
@@ -378,8 +382,8 @@ class DisturbanceSpec(Strict):
 
 
 class ControllerSpec(Strict):
-    """Cell file schema for an external controller that `serve --plan-only` uses, as in
-    moveit_controllers.yaml.
+    """Cell file schema for an external controller, which executes the motions planned by `serve --plan-only`.
+    The entries follow MoveIt's moveit_controllers.yaml.
     """
 
     type: Literal["FollowJointTrajectory", "JointTrajectory", "GripperCommand"] = "FollowJointTrajectory"

@@ -119,8 +119,8 @@ def propose(
 def _proven(
     model: RobotModel, grippers: Sequence[GripperSpec]
 ) -> tuple[RobotModel, tuple[GripperProof, ...]]:
-    """Return the robot with only the grippers that hold a cube in the setup assistant's simulation, and the
-    test results of all grippers.
+    """Test in the setup assistant's simulation whether each gripper can hold a cube. Return the robot without
+    the grippers that failed, and the test results of all grippers.
 
     Raises:
         InputError: a gripper about which the user stated facts does not hold the cube.
@@ -265,8 +265,8 @@ def _cell_yaml(model: RobotModel) -> str:
 
 
 def _first_task(model: RobotModel, arms: list[str]) -> list[dict[str, Any]]:
-    """Return a task for a cell without objects, as the setup assistant proposes it:
-    move all arms to named states, or hold.
+    """Return the task that the setup assistant proposes for a cell without objects: move all arms to named
+    states. If the arms share no named state, the task only holds the arms still.
     """
     tables = [model.named_states.get(arm, {}) for arm in arms]
     shared = [name for name in (tables[0] if tables else {}) if all(name in table for table in tables)]

@@ -201,7 +201,9 @@ class _Judge:
 
 
 def _dexterity(model: RobotModel, q: Array, groups: list) -> float:
-    """Return the smallest manipulability sqrt(det(J J^T)) of the groups at a candidate for the ready pose."""
+    """Return the smallest manipulability sqrt(det(J J^T)) among several planning groups at the configuration
+    q, a candidate for the pose "ready".
+    """
     tree = kinematic_tree(model)
     values = [1.0]
     for group in groups:

@@ -100,7 +100,9 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
 
 
 def _edge(gripper: Gripper) -> float:
-    """Return the edge [m] of a cube that a gripper can hold, for the starter cell."""
+    """Return the edge length [m] of the cube in the starter cell, chosen so that the gripper can hold the
+    cube.
+    """
     if isinstance(gripper, SuctionGripper):
         return max(0.05, 2.5 * min(cup.radius for cup in gripper.cups) + 0.005)  # one cup seals on it
     return min(0.05, 0.6 * gripper.max_width)
@@ -166,8 +168,8 @@ def base_bottom(model: RobotModel) -> float:
 
 
 def _choices(model: RobotModel) -> Iterator[dict[str, str]]:
-    """Yield candidates for the start state of a starter cell, as named states by group.
-    Home with open grippers comes first.
+    """Yield candidates for the start state of a starter cell. Each candidate maps planning groups to named
+    states; the first candidate is "home" with open grippers.
     """
     arms = [arm.name for arm in _arms(model)]
     named = model.named_states

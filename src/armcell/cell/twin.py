@@ -31,8 +31,8 @@ TRIES = 30  # random goals tried per motion
 
 
 def thresholds_file(cell: Cell) -> Path:
-    """Return the path of a cell's file with twin thresholds. They describe how far the real arms normally
-    deviate from the simulated twin.
+    """Return the path of the file with a cell's twin thresholds: limits for the normal deviation between the
+    real arms and their simulated twin.
     """
     return cell.file.with_name(f"{cell.file.stem}.twin.json")
 
@@ -124,8 +124,8 @@ def _wander(
 
 
 class _NotFree(InputError):
-    """Error for a motion that cannot be planned or that the simulated twin rejects, raised while armcell
-    learns how far a real arm deviates from its twin.
+    """Error for a test motion that cannot be planned, or that the simulated twin rejects. armcell raises the
+    error while it measures the normal deviation between a real arm and its twin.
     """
 
 

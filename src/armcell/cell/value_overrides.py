@@ -55,7 +55,7 @@ def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
 
 
 def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
-    """Return the values of the cell file's physics block that set the joint gains, by path (such as
+    """Return the overrides that set the joint gains in a cell's physics block, as values by path (for example
     `physics.joint_gains`). The gains come from a named gain set or a gain file.
 
     The values contain the gains themselves, so a record of the run does not depend on the file.
@@ -114,8 +114,8 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _write_out(data: dict[str, Any], path: str) -> None:
-    """Write a noise preset or a default value into the cell data as separate components, so that the override
-    at `path` can set one component.
+    """Expand a noise preset or a default value in the cell data into its components. An override at `path`
+    can then change a single component.
     """
     match path.split("."):
         case ["cameras", name, "noise", _]:
@@ -145,8 +145,8 @@ def _table(data: Any, *keys: str) -> dict[str, Any]:
 
 
 def _no_longer_drawn(data: dict[str, Any], path: str, value: Any) -> None:
-    """Keep a changed cell value constant: `randomize` does not replace it with a random value.
-    The other random values of a seed stay the same.
+    """Exclude an overridden value of a cell from randomization, so that the value stays constant. A seed
+    still draws the same values for all other entries.
     """
     block, name, key, *more = [*path.split("."), "", ""]
     drawn = data.get("randomize", {}).get(name, {})
@@ -171,8 +171,8 @@ def _index(at: list[Any], part: str, path: str) -> int:
 
 
 def _known(data: dict[str, Any]) -> Iterator[str]:
-    """Yield all valid paths to values of a cell: those in the cell file and those that have a
-    default value.
+    """Yield the path of each value that can be changed in a cell. The paths also include values with a
+    default that the cell file does not contain.
     """
     yield from _paths(data)
     yield "physics.gains"

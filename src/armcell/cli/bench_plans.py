@@ -55,8 +55,8 @@ class PlanTask:
 def run(
     tasks: Iterable[PlanTask], total: int, planner_id: str, repeat: int, seconds: float
 ) -> Iterator[tuple[Row, Array | None]]:
-    """Yield the result row and the waypoints for each task of a planning benchmark,
-    from the fastest run of the task.
+    """Run the tasks of a planning benchmark. For each task, yield the result row and the waypoints of the
+    fastest run.
 
     Each task is planned up to `repeat` times.
 

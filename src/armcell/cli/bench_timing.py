@@ -136,8 +136,8 @@ def _cpu(function: Callable[[], Any]) -> tuple[float, Any]:
 
 def _met(trajectory: JointTrajectory, velocity: Array, acceleration: Array, jerk: Array | None,
          dynamics: Any) -> dict[str, float]:  # fmt: skip
-    """Return the largest fraction of each limit that an interpolated
-    trajectory uses in the timing benchmark.
+    """Return the peak velocity, acceleration, jerk and torque of an interpolated trajectory as fractions of
+    their limits, for the timing benchmark.
     """
     from scipy.interpolate import BPoly
 

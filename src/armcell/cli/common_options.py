@@ -59,7 +59,7 @@ SEED = typer.Option(
 
 
 def seed_or_default(seed: int | None, mode: str) -> int | None:
-    """Return the random seed of a command: the given seed, or else a default.
-    The default is 0, or None in mode real.
+    """Return the random seed of a command: the given seed, or else a default. The default is None in `real`
+    mode and 0 in all other modes.
     """
     return 0 if seed is None and mode != "real" else seed

@@ -335,8 +335,8 @@ def check_drives(loaded: Any) -> Iterator[Finding]:
 
 
 def _followed(scene: Any, physics: Any) -> tuple[str, bool]:
-    """Describe, for `armcell doctor`, the step response of the joint that follows a step least accurately,
-    and return whether it is acceptable.
+    """Simulate the step response of each joint for `armcell doctor`. Return a description of the worst
+    response, and whether this response is acceptable.
     """
     from armcell.sim.step_response import step_responses
 

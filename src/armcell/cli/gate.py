@@ -95,8 +95,8 @@ WITHOUT_GATE = typer.Option(
 
 
 def check_gate(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:
-    """Check, before a command moves real arms, that the cell has a valid signed approval (gate record).
-    Return {"gate": entry} for the record of the run.
+    """Check that a cell has a valid gate record (signed approval) before a command moves real arms. Return
+    the result under the key `gate`, for the record of the run.
 
     In other modes, return an empty dict.
 
@@ -129,8 +129,8 @@ def check_gate(cell: Any, mode: str, file: Path | None, without: str | None) -> 
 
 
 def require_gate_override(mode: str, what: str, without: str | None) -> dict[str, Any]:
-    """Require the user's reason to move real arms without a signed approval (gate record). Return {"gate":
-    entry} for the record of the run.
+    """Check that the user gave a reason for moving real arms without a gate record (signed approval). Return
+    the reason under the key `gate`, for the record of the run.
 
     Motions that clients request, for example, have no gate record, because no campaign can test them.
     In modes other than real, return an empty dict.

@@ -50,8 +50,8 @@ def new(
 
 
 def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
-    """Write the first starter cell whose pick succeeds with fake arms, or else a cell that only moves the
-    arm. Return whether the written task is a pick.
+    """Write the first starter cell in which a fake arm picks the cube, or else a cell that only moves the
+    arm. Return whether the task of the written cell is to pick the cube.
 
     Args:
         path: how the cell names the robot.

@@ -50,7 +50,8 @@ Call it when the cell is ready: afterwards, other programs can reach the cell.
 def join(
     stack: ExitStack, bus: Any, name: str, own_master: bool | None, naming: RosNameOptions, bind: str | None
 ) -> Join:
-    """Find the ROS 1 master for a command, and return a function that joins the graph.
+    """Find a ROS 1 master or, if allowed, start the built-in master. Return a function that connects a
+    command's message bus to the ROS 1 graph of this master.
 
     Args:
         own_master: True starts a built-in master, False never does, None does if no master is reachable.

@@ -88,8 +88,8 @@ def parse_ros_names(
 
 
 def unused_remappings_warning(bus: Any) -> str:
-    """Return a warning about remappings of ROS names that do not exist in the cell.
-    The text is empty if all names exist.
+    """Return a warning if a remapped ROS name matches no topic, service or action of the cell. Return an
+    empty text otherwise.
     """
     if bus.names is None:
         return ""

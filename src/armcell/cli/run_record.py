@@ -134,8 +134,8 @@ RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]"
 
 
 def records_folder(record: bool | None, mode: str, runs: Path | None) -> Path | None:
-    """Return the folder in which the recording options tell a command to create its run folders.
-    Return None if the run is not recorded.
+    """Return the folder in which a command creates its run folders, as set by the recording options. Return
+    None if the run is not recorded.
     """
     wanted = (mode == "real" or runs is not None) if record is None else record
     return (runs or Path("runs")) if wanted else None
@@ -240,8 +240,8 @@ class ExternallyControlledRun:
         return [] if self.recorder is None else [self.recorder]
 
     def begin(self, live: Any) -> None:
-        """Begin the record of a run: add the observers that take pictures, and note how the gate check of
-        real arms was passed or overridden.
+        """Begin the record of a run: add the observers that take pictures, and note whether the run passed
+        the gate check for real arms or the user overrode this check.
 
         Also print a warning if real arms move without being compared with a simulated twin. Call this method
         before the `with` block of the live cell.

@@ -125,8 +125,8 @@ class ScriptConnections:
         return found
 
     def open(self, session: Session, joins: Sequence[Join]) -> None:
-        """Open the connections of a script's cell to other programs. With --plan-only, also wait until the
-        other program sends joint states.
+        """Connect the cell of a script to other programs, such as ROS nodes. With --plan-only, also wait for
+        the joint states of the simulator or robot.
         """
         from armcell.ros.nodes import ServedPlanner
 

@@ -182,8 +182,8 @@ class _Wires:
 
 
 def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Join:
-    """Reserve the port for Unity, and return the function that starts to serve Unity on it.
-    `stack` closes the port when `armcell serve` ends.
+    """Reserve a TCP port for the connection to Unity, and return a function that opens this connection.
+    `stack` frees the port when `armcell serve` ends.
     """
     from armcell.ros.transports import TcpTransport
 

@@ -66,7 +66,8 @@ def _clock_of(bus: Any) -> Any:
 def _joined(
     stack: ExitStack, loaded: Any, connect: str | None, ros1: bool, ros2: bool, domain: int | None
 ) -> Any:
-    """Return a bus on which `armcell tf` receives /tf until the exit stack closes.
+    """Connect `armcell tf` to a source of /tf messages. Return the bus that receives the messages; the
+    connection lasts until `stack` closes.
 
     The source is an endpoint, a ROS 1 graph, a ROS 2 domain, or the cell itself in mode fake.
 

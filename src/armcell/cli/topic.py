@@ -22,15 +22,15 @@ _SETTLE = 3.0  # [s] for subscribers to connect and to receive the messages
 
 
 class GraphClient:
-    """Client of a ROS 1 graph for the commands `topic` and `service`,
-    with the methods of a ROS-TCP client.
+    """Client of a ROS 1 graph for the commands `topic` and `service`. The class has the same methods as the
+    client of a ROS-TCP connection.
     """
 
     def __init__(self, bus: Any, graph: Any):
         self._bus, self._graph = bus, graph
 
     def topic_list(self, timeout: float) -> dict[str, str]:
-        """Return the topics of a ROS 1 graph for `armcell topic`, as types by name."""
+        """Return the topics of a ROS 1 graph for `armcell topic`, as a dict from topic to message type."""
         node = self._graph.node
         publishers, subscribers, _ = node.ask_master("getSystemState")
         others = {name for name, nodes in (*publishers, *subscribers) if set(nodes) - {node.name}}

@@ -63,8 +63,8 @@ class DistanceChecker(Protocol):
 
 
 class MotionBound:
-    """Upper bounds, used to certify motions, on how far two geometries move relative to each other per unit
-    of motion of one joint [m/rad or m/m].
+    """Upper bounds on the relative displacement of two geometries per unit of motion of each joint [m/rad or
+    m/m], for many pairs of geometries. The bounds serve to certify motions.
 
     Args:
         checker: the checker with the geometries and the group's joints.

@@ -119,8 +119,8 @@ def _near(
 
 
 def _holds(solid: CoalGeometry, T: coal.Transform3s, part: coal.Transform3s) -> bool:
-    """Return whether the nonconvex mesh of a solid contains the center of a primitive (sphere or cube) of a
-    set.
+    """Return whether a nonconvex mesh contains the center of a primitive (sphere or cube) that belongs to a
+    point cloud or octree.
     """
     return solid.holds(T.getRotation().T @ (part.getTranslation() - T.getTranslation()))
 
@@ -128,8 +128,8 @@ def _holds(solid: CoalGeometry, T: coal.Transform3s, part: coal.Transform3s) -> 
 def touches_primitives(solid: CoalGeometry, T: coal.Transform3s,
                        primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                  request: coal.CollisionRequest, result: coal.CollisionResult) -> bool:  # fmt: skip
-    """Return whether any primitive (sphere or cube) of a set is closer to a solid than the security margin of
-    the request.
+    """Return whether a coal geometry is closer than `request.security_margin` to any primitive (sphere or
+    cube) of a point cloud or octree.
     """
     _, index = _near(solid, T, primitives, T_primitives, request.security_margin)
     return any(
@@ -222,8 +222,8 @@ class CoalGeometry:
 
 @lru_cache(maxsize=1024)
 def solid(shape: Shape, scale: float = 1.0) -> CoalGeometry:
-    """Return the coal geometry of a shape, scaled by a factor about the shape's origin. The result
-    is cached.
+    """Return a shape as a geometry of the collision library coal, scaled by a factor about the shape's
+    origin. The result is cached.
     """
     center, half = local_bounds(shape)
     match shape:
@@ -257,8 +257,8 @@ def solid(shape: Shape, scale: float = 1.0) -> CoalGeometry:
 
 @lru_cache(maxsize=1024)
 def is_convex(mesh: Mesh) -> bool:
-    """Return whether a watertight mesh nearly fills its convex hull,
-    up to `CONVEX_EXCESS`. coal can then treat it as convex.
+    """Return whether the collision library coal can treat a mesh as convex: the mesh is watertight, and its
+    hull's volume is larger by at most the fraction `CONVEX_EXCESS`.
 
     No vertex may be deeper than `CONVEX_DENT` inside the hull.
     """

@@ -141,8 +141,8 @@ class ExactChecker:
         self._query += 1
 
     def set_object_pose(self, i: int, T_world_solid: SE3) -> None:
-        """Move a world object's geometry in the exact checker to another pose,
-        which is valid until the next call.
+        """Set the pose of a world object's geometry in the exact checker. The pose remains in effect until
+        the next call.
         """
         R, g = T_world_solid.rotation.matrix, self.geometries[i].solid
         self._transforms[i].setTransform(R, T_world_solid.translation)
@@ -268,8 +268,8 @@ class ExactChecker:
 
     # --- queries ---
     def is_free(self, q: ArrayLike) -> bool:
-        """Check exactly that no body that the group can move touches another body.
-        The check includes padding.
+        """Return whether no body that the group can move touches another body in the configuration q. The
+        check is exact and includes padding.
         """
         self.checks += 1
         self.set_configuration(q)
@@ -289,8 +289,8 @@ class ExactChecker:
         self.relaxed_margins(q)
 
     def relaxed_margins(self, q: ArrayLike) -> dict[tuple[str, str], float]:
-        """Run `relax_margins` of the exact checker and return the
-        reduced paddings [m] for each pair (body, object).
+        """Reduce the exact checker's padding like `relax_margins` does. Return the reduced padding [m] of
+        each pair (body, object) that is closer at q (n,) than its padding.
         """
         self.set_configuration(q)
         lowered: dict[tuple[str, str], float] = {}

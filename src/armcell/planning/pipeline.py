@@ -95,8 +95,8 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
 
 
 def _links(request: PlanRequest) -> Iterator[str | None]:
-    """Yield the links for which the planning pipeline must solve inverse kinematics to reach the goals of a
-    request.
+    """Yield the links that the goals of a request constrain. The planning pipeline must solve inverse
+    kinematics for these links.
     """
     for goal in request.goals:
         if isinstance(goal, PoseGoal):
@@ -339,8 +339,8 @@ def _unsolved(
 
 
 def _direct(problem: Problem) -> Array | None:
-    """Return the straight line to a goal as the pipeline's direct path, if it is collision-free with
-    padding.
+    """Return the straight line from the start to the first goal for which the line is collision-free,
+    including the collision padding. Return None if every line is blocked.
     """
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:

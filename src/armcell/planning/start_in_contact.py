@@ -101,8 +101,8 @@ def find_departure(
 
 
 def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> ValidatedRequest | Outcome:
-    """Find a motion that takes the start of a plan out of resting contact, and store the motion as the plan's
-    `lead_in`. If there is none, reject the start.
+    """Plan a short motion from a start in resting contact to a start without contact, and store it as the
+    plan's `lead_in`. Reject the start if no such motion exists.
 
     `start_repaired` in the evidence reports the distance between the old and the new start.
     """
@@ -130,8 +130,8 @@ def reject_deep_contacts(contacts: list[Contact]) -> Outcome | None:
 
 
 def _kept(validated: ValidatedRequest) -> Callable[[Array], bool]:
-    """Return a function that tests a motion (k, n) that leads out of a contact at the start. The motion must
-    stay in the workspace and satisfy the path constraints.
+    """Return a function that checks whether a motion (k, n) out of a start contact stays in the workspace and
+    satisfies the path constraints.
     """
     request, workspace = validated.request, validated.workspace
     is_pilz = (

@@ -244,7 +244,8 @@ def _data_divergence(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | N
 
 
 def _compared(event: Event) -> Mapping[str, Any]:
-    """Return the data of an event without search statistics, which differ between runs, to compare two runs.
+    """Return the data of a recorded event that a comparison of two runs checks: all data except search
+    statistics, which differ between runs.
 
     Planners with a time limit evaluate varying numbers of samples; the motion itself is compared separately.
     """

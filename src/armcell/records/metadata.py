@@ -20,8 +20,7 @@ FORMAT = 1
 def run_metadata(
     cell: Cell, seed: int | None, mode: str, values: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Return the metadata of a run as data that JSON supports.
-    They contain everything needed to execute the run again.
+    """Return the metadata of a run as JSON-compatible data, which suffices to execute the run again.
 
     The metadata are the cell with changed values, the seed, mode, content hashes, versions and machine.
 
@@ -98,7 +97,7 @@ def changed_since(metadata: Mapping[str, Any], cell: Cell) -> list[str]:
 
 
 def checked_metadata(data: Any, file: Path) -> dict[str, Any]:
-    """Check the run metadata of a record and return them.
+    """Return the run metadata of a record after checking its format version.
 
     Raises:
         InputError: the record has another format version.

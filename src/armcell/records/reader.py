@@ -43,7 +43,7 @@ class RecordedJoints:
 
 @dataclass(frozen=True, eq=False)
 class RecordedState:
-    """State of the cell at one time, read from a record with exactly the recorded values."""
+    """State of the cell at one time, with exactly the values that the record contains."""
 
     nanoseconds: int  # time of the cell's clock
     joints: RecordedJoints
@@ -54,7 +54,7 @@ class RecordedState:
 
     @property
     def time(self) -> float:
-        """Return the time [s] of a recorded state that was read from a record."""
+        """Return the time [s] of the cell's clock for a recorded state."""
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
@@ -101,7 +101,8 @@ class Record:
 
 
 def record_file(run: str | Path) -> Path:
-    """Return the file from which to read a record: the record in a run folder, or the given file itself.
+    """Return the path of a run's record file. `run` is either the run folder that contains this file, or the
+    file itself.
 
     Raises:
         InputError: there is no record.

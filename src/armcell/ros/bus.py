@@ -147,7 +147,8 @@ class Bus:
         return subscription
 
     def attach(self, topic: str, type_name: str, put: Put, owner: object = None) -> Attachment:
-        """Attach a transport's receiver function to a bus topic. Publishers call it in their threads.
+        """Connect a transport (such as the ROS 2 bridge) to a bus topic: each publisher calls the transport's
+        function `put` with every message, in the publisher's thread.
 
         `put` receives the messages in order. It must be quick, must not raise, and must not use the bus. It
         does not receive messages of publishers with the same `owner`, because those messages arrived through
@@ -255,7 +256,8 @@ class Bus:
         return next((found for find in finders if (found := find(name)) is not None), None)
 
     def call(self, name: str, request: Any) -> Any:
-        """Call a service on the message bus or behind a transport and return its response.
+        """Call a service of the message bus, or a service that a transport provides from another program, and
+        return the response.
 
         Raises:
             ServiceError: the service has no server, or its handler failed; the message states the cause.
@@ -371,7 +373,8 @@ def _same(publisher: Publisher, receiver: Attachment) -> bool:
 
 
 class _Member:
-    """Base class of publishers and receivers, which can leave their bus topic with `close`.
+    """Base class of publishers and receivers on a bus topic. Their method `close` removes them from the
+    topic.
 
     A member is also a context manager that closes at the end of a `with` block.
     """
@@ -421,7 +424,9 @@ class Publisher(_Member):
 
 
 class Attachment(_Member):
-    """Connection of a transport's receiver function to a topic of the message bus."""
+    """Connection of a transport to a topic of the message bus, with the transport's function that receives
+    the topic's messages.
+    """
 
     def __init__(self, bus: Bus, topic: _Topic, put: Put, owner: object = None):
         super().__init__(bus, topic, owner)

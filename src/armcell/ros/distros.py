@@ -24,8 +24,8 @@ PLUMBING = ("rmw_dds_common",)
 
 
 class Distro(NamedTuple):
-    """ROS 2 distribution: its message definitions in rosbags,
-    and the armcell folders that contain further definitions.
+    """ROS 2 distribution: the rosbags type store that contains its message definitions, and the armcell
+    folders with further definitions.
 
     If two folders define the same type, the later folder wins.
     """

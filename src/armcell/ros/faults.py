@@ -20,7 +20,8 @@ TEXT_FIELDS = ("error_string", "message", "status_message", "reason")
 
 
 def write_failure(answer: Any, text: str, code: ErrorCode = ErrorCode.FAILURE) -> Any:
-    """Write the reason for a failure into the fields of a ROS result or response and return this message.
+    """Write the reason for a failure into the fields of a ROS action result or service response, and return
+    the changed result or response.
 
     A text field changes only if the reason contains its old text, for example if the field is empty. Error
     codes that already state a failure stay unchanged.

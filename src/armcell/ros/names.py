@@ -36,8 +36,7 @@ def resolve(name: str, namespace: str = "/") -> str:
 
 
 def resolve_program_name(name: str, node: str, namespace: str) -> str:
-    """Resolve a ROS name in the source of a program, which may be absolute, private or relative, to a full
-    ROS name.
+    """Resolve an absolute, private or relative ROS name from the source code of a program to a full ROS name.
 
     `/a` stays `/a`, `~a` is relative to the node, and `a` is relative to the namespace.
 

@@ -136,7 +136,7 @@ class Schema:
         return self.message(name)(*values, **fields)
 
     def service(self, name: str) -> tuple[type[Message], type[Message]]:
-        """Return the request class and the response class of a service type in the schema.
+        """Return the request and response message classes of a ROS service type.
 
         Raises:
             UnknownNameError: the service type does not exist.

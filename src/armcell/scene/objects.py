@@ -88,7 +88,7 @@ class Material:
 
 @dataclass(frozen=True)
 class ObjectType:
-    """Type of a collision object as a key in a database, like object_recognition_msgs/ObjectType."""
+    """Type of a collision object: its key in an object database, like object_recognition_msgs/ObjectType."""
 
     key: str = ""
     db: str = ""

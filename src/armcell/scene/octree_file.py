@@ -280,7 +280,9 @@ def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
 
 
 def _apart(starts: I64, numbers: I64) -> tuple[I64, I64]:
-    """Return the octree cells that are not inside another cell; the octree writer drops all other cells."""
+    """Remove the octree cells that are inside another cell, and return the remaining cells for the octree
+    file.
+    """
     order = np.lexsort((-numbers, starts))
     starts, numbers = starts[order], numbers[order]
     ends = np.maximum.accumulate(starts + numbers)

@@ -123,8 +123,8 @@ def compiled_steps(
 
 
 def _count(data: mujoco.MjData) -> NDArray[np.int32]:
-    """Return an array (1,) that shares memory with MuJoCo's current number of contacts, for the compiled
-    stepper.
+    """Return MuJoCo's current number of contacts as an array (1,) that shares memory with mjData. The
+    compiled stepper passes this array to its kernel.
 
     MuJoCo stores this number in mjData, directly after the timers.
     """
@@ -135,8 +135,8 @@ def _count(data: mujoco.MjData) -> NDArray[np.int32]:
 
 @cache
 def _count_is_found() -> bool:
-    """Return whether a test model confirms where mjData stores the number of contacts.
-    The compiled stepper relies on this location.
+    """Test on a small model whether `_count` finds the number of contacts in mjData's memory with the
+    installed MuJoCo. The compiled stepper requires this.
 
     The test places three boxes on a floor, in the air, and on the floor again.
     """

@@ -156,8 +156,8 @@ class ContactMonitor:
             self._fine.add(seen)
 
     def _attach(self, data: mujoco.MjData) -> None:
-        """Give the contact monitor an array view of MuJoCo's list of contacts,
-        which always shows the current contacts.
+        """Connect the contact monitor to mjData: `pairs` becomes a view of the geom pairs in MuJoCo's contact
+        list, so it always shows the current contacts.
 
         The list starts at the arena's base, whatever its length.
         """

@@ -347,8 +347,8 @@ def _lags(x, R, v, w, point, past, dt, scale):
 
 @njit(cache=True)
 def carry(count, pairs, qpos, arrays):
-    """Correct the creep and drift of held objects after a physics step: set `impratio`, and shift each held
-    object by the distance that it lags behind the hand.
+    """Stop held objects from creeping and drifting in the hand, after a physics step: choose `impratio`
+    against creep, and shift each object by its lag behind the hand.
 
     Args:
         count: number of contacts.

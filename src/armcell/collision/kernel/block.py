@@ -107,8 +107,8 @@ def _far(I, F, w, state, i, j, radii):
 
 @inner_njit
 def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
-    """Test each sphere of one group against each sphere of another, for a pair of bodies.
-    Return a bit mask of the SIMD lanes in which spheres may touch, or DONE if the check can stop early.
+    """Test the spheres of one group against the spheres of a group of another body. Return a bit mask of the
+    SIMD lanes with a possible contact, or DONE if the collision check can stop early.
 
     The groups are g and h. Lanes are bits. Spheres whose inner balls are at most `close` apart are certainly
     too near.
@@ -310,8 +310,8 @@ def lanes_of(k):
 
 @njit(cache=True, nogil=True)
 def touches(handle, mode, q):
-    """Return whether a block check of the SIMD kernel reports a single configuration q (dof,) as not
-    collision-free.
+    """Return whether the SIMD collision kernel finds the configuration q (dof,) in collision, or cannot rule
+    out a collision.
 
     Python code can call this function. The function copies q to all SIMD lanes before the check.
     """

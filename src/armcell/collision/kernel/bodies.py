@@ -67,7 +67,7 @@ class Body:
     @cached_property
     def _radii(self) -> F32:
         """Return the outer and inner radii (1 + g + s, 2) of a kernel body's bounding sphere, g sphere groups
-        and s small spheres, rounded to the safe side.
+        and s spheres. Outer radii are rounded up and inner radii down.
         """
         one, g = 1, 1 + len(self.groups)
         radii = np.zeros((g + len(self.spheres), 2), np.float32)
@@ -112,13 +112,15 @@ def link_body(link: Link, scale: float, overshoot: float) -> Body:
 
 
 def held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> Body:
-    """Return the kernel's data of a held object, from its shapes and their poses in the object."""
+    """Return the kernel body (sphere cover and convex pieces) of a held object, given its shapes and their
+    poses in the object frame.
+    """
     return _body([(s, t.matrix, _object_overshoot(s)) for s, t in shapes], object_pieces)
 
 
 def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> Body:
-    """Return the kernel body (sphere cover and convex pieces) of a robot body. Each of its shapes has a pose
-    and an overshoot: how far [m] a sphere may extend beyond the shape.
+    """Return the kernel body (sphere cover and convex pieces) for shapes of a robot body. Each shape comes
+    with its pose and its overshoot: how far [m] a cover sphere may protrude from the shape.
 
     The result is cached on disk, so that later starts need no mesh library.
     """
@@ -253,8 +255,8 @@ def _mesh_arrays(link: Link) -> tuple[np.ndarray, ...]:
 
 
 def _needs_fine_cover(base: Link, T_base: np.ndarray, other: Link, T_other: np.ndarray) -> bool:
-    """Return whether the gap between a base and another link is too narrow for normal sphere covers of both,
-    but wide enough with a finer cover of the base.
+    """Return whether a base link needs a fine sphere cover: its gap to another link is too narrow for two
+    normal covers, but wide enough if the base has a fine cover.
     """
     arguments = []
     for link, T in ((base, T_base), (other, T_other)):

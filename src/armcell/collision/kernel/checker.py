@@ -88,8 +88,8 @@ class KernelChecker:
         )
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Reduce the kernel checker's padding for body pairs whose distance
-        at q (n,) is smaller than the padding but not zero.
+        """Reduce the kernel checker's padding for each body that is closer to an object at q (n,) than the
+        padding. The new padding is just below the current distance.
 
         See `ExactChecker.relax_margins`.
         """
@@ -107,8 +107,8 @@ class KernelChecker:
         self._take_hold()
 
     def with_clearance_between(self, sides: Mapping[str, int], distance: float) -> KernelChecker:
-        """Return a copy of the kernel checker that also requires a clearance [m] between bodies of different
-        sides, such as the links of two arms.
+        """Return a copy of the kernel checker that also requires a clearance [m] between two arms or other
+        sets of bodies. `sides` assigns each body to a set.
 
         Args:
             sides: side of each body (link or attached object) by name; bodies without a side have no

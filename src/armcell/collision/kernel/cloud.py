@@ -80,8 +80,8 @@ def _cloud_of(I, o):
 
 @inner_njit(forceinline=True)
 def _side(F, at, u, v, x, y, z):
-    """Return the vector from the nearest point on one edge of each of 16 triangles to a given point, to test
-    a cloud of triangles.
+    """Return the vector from the nearest point on a triangle's edge to a given point, for 16 triangles of a
+    cloud at once.
 
     The triangles are at F[at:]; their edges lead from corner u to corner v. Also returns on which side of the
     edge the point is, positive on the inner side.
@@ -176,8 +176,8 @@ def _local(I, F, w, state, o, g, f, mode):
 
 @inner_njit
 def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
-    """Test a group of spheres in one SIMD lane against 16 spheres, cubes or triangles of a cloud,
-    with a coarse test first.
+    """Test one sphere group of a robot body against 16 parts (spheres, cubes or triangles) of a cloud, in the
+    configuration of one SIMD lane.
 
     The group's bounding ball is tested before its spheres. The parts are at F[at:]. `more` is the margin that
     a gap must exceed in addition to the radius and, in a proof, to the motion in half the interval.
@@ -217,8 +217,8 @@ def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
 
 @inner_njit
 def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, mode):
-    """Test a group of spheres in several SIMD lanes against 16 parts of a cloud (spheres, cubes or
-    triangles).
+    """Test one sphere group of a robot body against 16 parts (spheres, cubes or triangles) of a cloud, in the
+    configurations of several SIMD lanes.
 
     Returns the undecided lanes, or DONE.
     """
@@ -245,8 +245,8 @@ def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, 
 
 @inner_njit
 def _keep_ball(I, w, state, x, y, z, reach):
-    """Store the bounding ball of a group of spheres for the test against a cloud.
-    The spheres themselves are transformed later, and only if needed.
+    """Store the bounding ball of a robot body's sphere group in the frame of a cloud. The kernel transforms
+    the spheres of the group only if the ball comes near a part of the cloud.
     """
     ball = ball_at(I)
     store(w, ball, x)
@@ -308,8 +308,8 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
 
 @inner_njit(forceinline=True)
 def _grown(I, w, i, radius, more, mode):
-    """Enlarge the radius of a robot body's ball for a test against a cloud: by a margin and, to certify a
-    motion, by the distance that the ball moves.
+    """Return the enlarged radius of a robot body's bounding ball for a test against a cloud. The radius grows
+    by a margin and, to certify a motion, by the distance that the ball moves.
 
     The ball is around center i.
     """
@@ -323,8 +323,8 @@ def _grown(I, w, i, radius, more, mode):
 
 @inner_njit
 def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
-    """Test a robot body against a cloud of spheres, cubes or triangles.
-    Return a bit mask of the SIMD lanes that need an exact test, or DONE if the check can stop early.
+    """Test a robot body against a cloud of spheres, cubes or triangles, in one configuration per SIMD lane.
+    Return a bit mask of the lanes that need an exact test, or DONE to end the check early.
     """
     f, bodies, m, open_lanes = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, np.int64(0)
     more_at = required_distance_at(I) + L
@@ -349,8 +349,8 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
 
 @inner_njit
 def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
-    """List the next spheres, cubes or triangles of a cloud that need an
-    exact test because they may touch a sphere of the body.
+    """List the spheres, cubes or triangles of a cloud that may touch a robot body and so need an exact test.
+    Each call continues where the previous call stopped.
 
     Call the function repeatedly with its own last result; begin with the body's first group, 0 and 0. It
     writes the index in F of each part to state[LISTED:].
@@ -409,8 +409,8 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
 
 @inner_njit(forceinline=True)
 def _turns(F, at, u, v, x, y):
-    """Return how one edge of each of 16 triangles crosses the ray in +x from a point, seen along z: 1 =
-    counterclockwise, -1 = clockwise, 0 = no crossing.
+    """Return how an edge of a triangle crosses the ray from a point along +x in the xy plane, for 16
+    triangles at once: 1 = counterclockwise, -1 = clockwise, 0 = no crossing.
 
     Edges lead from corner u to corner v. 1 is counter-clockwise. Each edge is computed from its lower end, so
     that the two triangles at an edge agree to the last bit.

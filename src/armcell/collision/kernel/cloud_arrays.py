@@ -59,7 +59,7 @@ class Cloud:
 
 @lru_cache(maxsize=16)
 def cloud_of(shape: Shape) -> Cloud | None:
-    """Return the kernel arrays of the cloud that represents a point cloud, an octree or a nonconvex mesh.
+    """Return the kernel's arrays for a shape with many parts: a point cloud, an octree or a nonconvex mesh.
     Return None for a convex shape.
     """
     center, half = local_bounds(shape)

@@ -139,8 +139,8 @@ def depths(points: F64, skin: F64) -> F64:
 
 
 def interior_points(vertices: F64, faces: NDArray[np.int64], spacing: float) -> F64:
-    """Return grid points (m, 3) inside a solid and away from its surface.
-    The solid's sphere cover must contain them.
+    """Return the points (m, 3) of a regular grid that are inside a solid. The sphere cover of the solid must
+    contain all these points.
     """
     low, high = vertices.min(0), vertices.max(0)
     axes = [np.arange(a + (b - a) % spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)]
@@ -191,8 +191,8 @@ def _holds(e, p, x, y, z, reach2):
 
 @njit(cache=True)
 def _greedy(e, centers, reach2):
-    """Choose balls for a sphere cover greedily, until they contain all parts
-    of the surface that the candidate balls can contain.
+    """Choose balls for a sphere cover greedily. Each step chooses the ball with the most uncovered elements
+    of the shape, until no ball contains an uncovered element.
 
     Elements are (9, n). The balls have squared radii `reach2`. Returns the chosen balls and which elements
     they contain.
@@ -289,7 +289,8 @@ def _neighbors_together(centers: F64) -> NDArray[np.int64]:
 
 
 def bounding_sphere(centers: F64, radii: F64) -> tuple[F64, float]:
-    """Return a small sphere that contains all spheres of a cover, given by centers (n, 3) and radii (n,).
+    """Return the center and radius of a small sphere that contains all given spheres, which have centers (n,
+    3) and radii (n,).
 
     The iteration starts from the center of the bounding box and moves toward the farthest sphere.
     """
@@ -300,8 +301,8 @@ def bounding_sphere(centers: F64, radii: F64) -> tuple[F64, float]:
 
 @njit(cache=True)
 def _shrink(centers, radii, start):
-    """Shrink a sphere around all spheres of a cover in 60 steps, starting with the center `start` (3,).
-    Return its center and radius.
+    """Compute a small bounding sphere around given spheres. In 60 steps, its center moves from `start` (3,)
+    toward the farthest sphere. Return the center and radius of the bounding sphere.
     """
     x, y, z = start
     step = 0.05

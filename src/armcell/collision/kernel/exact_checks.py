@@ -71,8 +71,8 @@ INSIDE = np.int64(1) << 40
 
 @inner_njit
 def queue_exact_test(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
-    """Queue a body for an exact test against a world shape or another body in
-    those SIMD lanes where the sphere test gave no answer.
+    """Queue an exact test of a robot body against a world shape or another body, for the SIMD lanes in which
+    the sphere test was inconclusive.
 
     `other` is the index of the world shape, or -1 - pair for a pair of bodies. With `INSIDE` added to
     `other`, the exact tier only tests whether the body is inside the shape's mesh. Returns True if all lanes
@@ -121,8 +121,8 @@ def run_exact_tests(I, F, D, w, state, s, slack, slack_pair, mode):
 
 @inner_njit
 def _needs(I, F, w, slack, slack_pair, body, other, mode):
-    """Compute the distance that two bodies in an exact test must exceed
-    to count as collision-free, in each SIMD lane.
+    """Compute the distance that two bodies must exceed to be collision-free in an exact test, one value for
+    each SIMD lane (configuration).
 
     The part of the distance that does not depend on speed is also stored.
     """
@@ -240,8 +240,8 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
 
 @inner_njit
 def _directed_need(I, D, w, s, body, a, lane):
-    """Return the clearance that a convex piece needs along a given normal to pass an exact collision check,
-    in one SIMD lane.
+    """Return the clearance along a given normal that a moving convex piece needs to pass an exact collision
+    test, in the configuration of one SIMD lane.
 
     The normal is in s[NORMAL:]. Along a fixed direction n, the nearest point of piece a approaches by |n .
     velocity| times half the interval. The velocity is that of the piece's center plus the contribution of its

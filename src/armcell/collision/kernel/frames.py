@@ -77,16 +77,16 @@ def workspace(flat: Flat) -> Workspace:
 
 @inner_njit(forceinline=True)
 def rate_at(I, j):
-    """Return the index in the kernel's workspace array `w` of a joint's travel along the current edge of the
-    motion.
+    """Return the index in the kernel's workspace array `w` at which the travel of joint j along the current
+    edge of a motion is stored.
     """
     return (I[DOF] + j) * L
 
 
 @inner_njit(forceinline=True)
 def interval_half_width_at(I):
-    """Return the index in the workspace array `w` at which each SIMD lane stores half the width of the motion
-    interval that it certifies.
+    """Return the index in the kernel's workspace array `w` of the half width of the motion interval to
+    certify, which has one value per SIMD lane.
 
     The joints' summed rotation in the interval is stored next.
     """
@@ -95,16 +95,16 @@ def interval_half_width_at(I):
 
 @inner_njit(forceinline=True)
 def required_distance_at(I):
-    """Return the index in the workspace array `w` at which the kernel stores the required distance [m] and
-    relative velocity of two bodies for exact tests (8 vectors).
+    """Return the index of the inputs of an exact test in the kernel's workspace array `w`: the required
+    distance [m] and the relative velocity of two bodies (8 SIMD vectors).
     """
     return (2 * I[DOF] + 2) * L
 
 
 @inner_njit(forceinline=True)
 def frame_at(I, f):
-    """Return the index in the workspace array `w` at which the kernel stores a link frame.
-    The 12 vectors of the frame are its 3x4 matrix, row by row.
+    """Return the index of a link frame in the kernel's workspace array `w`. The frame is stored as a 3x4
+    matrix, row by row, with one SIMD vector per entry.
     """
     return (2 * I[DOF] + 10 + 12 * f) * L
 
@@ -126,8 +126,8 @@ def center_at(I, i):
 
 @inner_njit(forceinline=True)
 def velocity_at(I, i):
-    """Return the index in the workspace array `w` at which the kernel stores the velocity of a sphere center,
-    followed by its speed.
+    """Return the index in the kernel's workspace array `w` of the velocity vector of a sphere center. The
+    norm of the vector (speed) is stored after the vector.
 
     Both are per unit of the edge.
     """
@@ -136,8 +136,8 @@ def velocity_at(I, i):
 
 @inner_njit(forceinline=True)
 def body_margin_at(I, body):
-    """Return the index in the workspace array `w` of a body's margin, by which the body is enlarged when the
-    kernel certifies a motion.
+    """Return the index in the kernel's workspace array `w` of the margin that the kernel adds to a body's
+    size to certify a motion.
 
     The margin covers deviations and changes of velocity, but not the motion at constant speed
     (see `motion_margin`).
@@ -157,8 +157,8 @@ def local_at(I):
 
 @inner_njit(forceinline=True)
 def ball_at(I):
-    """Return the index in the workspace array `w` at which the kernel stores the bounding ball of a sphere
-    group, in the frame of the cloud that is tested.
+    """Return the index in the kernel's workspace array `w` of a sphere group's bounding ball. The ball is
+    stored in the frame of the cloud under test.
     """
     return local_at(I) + 6 * GROUP * L
 
@@ -223,7 +223,8 @@ def fk_block(I, F, w):
 
 @inner_njit
 def twist_block(I, F, w):
-    """Compute how fast all link frames of 16 configurations move (twists) along the current edge of a motion.
+    """Compute the twists of all link frames along the current edge of a motion, for 16 configurations at
+    once.
 
     A twist is the angular velocity and the velocity of the origin. Run `fk_block` before. The function also
     sums up the rotation of all revolute joints, which bounds the change of the velocities.
@@ -261,8 +262,8 @@ def twist_block(I, F, w):
 
 @inner_njit(forceinline=True)
 def center(I, F, w, state, i, f, sphere, mode):
-    """Transform a sphere's center by its link frame in 16 configurations, unless this check has already done
-    so. Return the center's index in the workspace array `w`.
+    """Transform a sphere's center by its link frame in 16 configurations, only once per collision check.
+    Return the index of the stored center in the workspace array `w`.
 
     The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.
     """

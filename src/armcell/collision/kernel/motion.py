@@ -153,8 +153,8 @@ def prove(k, p, first, last, count, at, mode, finest):
 
 @inner_njit
 def deviation_margins(k, room):
-    """Compute how far [m] bodies may deviate from the motion that a proof checks,
-    given the largest deviation of each joint.
+    """Compute how far [m] each body can deviate from a motion to certify, given the largest deviation of each
+    joint.
 
     The deviations are room (dof,).
     """

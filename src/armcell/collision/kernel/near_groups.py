@@ -61,8 +61,8 @@ class SphereGroups(NamedTuple):
 
 @njit(cache=True)
 def _place(branch, frames, q, out):
-    """Compute the pose (3, 4) of the last frame of a kinematic branch relative to the first. Used to find
-    sphere groups that never meet.
+    """Compute the pose (3, 4) of the last frame of a kinematic branch relative to the frame at which the
+    branch starts. The pose helps to find sphere groups that never collide.
     """
     for i in range(3):
         for j in range(4):

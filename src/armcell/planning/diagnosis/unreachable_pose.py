@@ -37,8 +37,7 @@ class IKBranch:
 
     @property
     def free(self) -> bool:
-        """Return whether an IK solution of the diagnosed pose is within the joint limits and free of contact.
-        """
+        """Return whether an IK solution of the diagnosed pose is within limits and free of contact."""
         return not self.contacts and not self.beyond
 
     def reason(self, model: RobotModel) -> str:

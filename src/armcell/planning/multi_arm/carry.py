@@ -299,8 +299,8 @@ class _DetourPlanner:
         return free[:POSTURES]
 
     def _clear(self, T: SE3, q: Array) -> tuple[SE3, Array] | None:
-        """Choose the lowest pose with enough clearance for an object that two arms carry, among pose T and
-        poses above T. Return the pose and the joint positions (dof,).
+        """Choose a pose with enough clearance for an object that two arms carry: pose T, or the lowest
+        suitable pose above T. Return the pose and the joint positions (dof,).
 
         Return None if the object touches at all these poses.
         """
@@ -318,8 +318,8 @@ class _DetourPlanner:
         return None
 
     def _made(self, a: SE3, q: Array, poses: list[SE3], b: SE3) -> list[CarrySegment] | None:
-        """Build the segments of a two-arm carry on a detour: from object pose a through all given poses, then
-        down to pose b.
+        """Build the segments of a detour on which two arms carry an object: straight from object pose a to
+        the first of `poses`, through all `poses`, then straight to object pose b.
         """
         up = self._straight([a, poses[0]], q, self.builder.checker)
         if up is None:
@@ -331,8 +331,8 @@ class _DetourPlanner:
         return None if down is None else [*up, *through, *down]
 
     def _through(self, poses: list[SE3], q: Array) -> list[CarrySegment] | None:
-        """Build one segment of a two-arm carry through several object poses,
-        with rounded corners and, if possible, with padding.
+        """Build one segment of a two-arm carry that moves the object through several poses, with rounded
+        corners. Try with collision padding first, then without.
 
         If the rounded segment is not free, build straight segments with stops.
         """

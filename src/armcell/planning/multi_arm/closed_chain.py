@@ -191,7 +191,8 @@ class _Tree:
 
 
 class ObjectPoseSearch:
-    """Search over object poses by RRT-Connect for a path of the object that a closed chain of two arms holds.
+    """RRT-Connect search over the poses of an object that two arms hold as a closed chain. It finds a
+    collision-free path of the object.
 
     Args:
         checker: checker of both arms' joints. q: all joints (dof,) at the start. ends: joint positions
@@ -244,7 +245,8 @@ class ObjectPoseSearch:
         return SE3(rotation, position)
 
     def _extend(self, tree: _Tree, target: SE3, most: int | None) -> tuple[int, bool] | None:
-        """Extend a search tree of a closed chain toward an object pose by at most `most` steps.
+        """Extend one tree of the object pose search toward a target pose, by at most `most` steps. Both arms
+        hold the object at every step (closed chain).
 
         Return the new node and whether it is at the pose; None if no stride is possible.
         """

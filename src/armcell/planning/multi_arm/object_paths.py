@@ -24,8 +24,8 @@ SOFT = 0.2  # [s] window of the two moving averages that round the speed's corne
 
 
 class ObjectPath(Protocol):
-    """Protocol of a path of a carried object: object poses as a
-    function of the traveled fraction of the path (0 to 1).
+    """Interface (`typing.Protocol`) for the path of a carried object: it returns the object pose at each
+    traveled fraction of the path (0 to 1).
 
     Attributes:
         meters, radians: length and total rotation.

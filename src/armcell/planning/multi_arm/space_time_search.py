@@ -25,8 +25,8 @@ SHORTCUTS = 150
 
 
 class EdgeValidity(Protocol):
-    """Protocol of a function that checks whether an edge in space and time, from (p, s) to (q, t), is
-    valid.
+    """Interface (`typing.Protocol`) of the validity check for edges of the space-time search. An edge is a
+    straight motion from positions p (n,) at time s [s] to q (n,) at time t [s].
     """
 
     def free(self, p: Array, s: float, q: Array, t: float) -> bool: ...
@@ -205,7 +205,9 @@ def _joined(problem, ahead: _Tree, back: _Tree, end: int, reached: int, from_ahe
 def shortened(
     problem: SpaceTimeProblem, path: SpaceTimePath, rng: np.random.Generator, deadline: float
 ) -> SpaceTimePath:
-    """Remove corners from a path in space and time, and let it arrive earlier if possible."""
+    """Shorten a space-time path: remove waypoints where a direct edge is valid, and move to the goal earlier
+    if possible.
+    """
     points, times = list(path.points), list(path.times)
     for _ in range(SHORTCUTS):
         if len(points) < 3 or time.monotonic() > deadline:

@@ -110,8 +110,8 @@ class MotionCommand:
         return None
 
     def tip_profile(self, length: float, angle: float) -> Profile:
-        """Compute the velocity profile of a Pilz motion command along a tip path of given length [m] and
-        rotation [rad], as a function of s in 0..1.
+        """Compute the velocity profile of a Pilz motion over the path parameter s (0 to 1), from the length
+        [m] and rotation angle [rad] of its tip path.
 
         The profile accelerates and brakes the longer of length and angle (scaled by the equivalent radius),
         like KDL's paths, which MoveIt uses.

@@ -20,7 +20,8 @@ RADIUS_DIFFERENCE = 1e-2  # [m] allowed between both ends' distances from the ce
 
 
 class TipPath(Protocol):
-    """Protocol of the path of the tip in a LIN or CIRC motion, with a pose for every s in 0..1.
+    """Interface (`typing.Protocol`) for tip paths of LIN and CIRC motions: a path returns the tip pose at the
+    path parameter s in 0..1.
 
     Position and orientation change evenly with s.
     """
@@ -148,14 +149,14 @@ class Curve(Protocol):
     """
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
-        """Evaluate a curve in joint space along a Pilz path at s (m,): positions, first and second
-        derivatives (m, n).
+        """Compute the joint positions of a Pilz motion at path parameters s (m,) in 0..1, and their first and
+        second derivatives with respect to s, each (m, n).
         """
         ...
 
     def polyline(self, sagitta: float) -> tuple[Array, Array]:
-        """Return points (k, n) on a curve in joint space along a Pilz path; straight chords connect the
-        points.
+        """Approximate the joint-space curve of a Pilz motion by straight chords between points (k, n) on the
+        curve.
 
         Return the points and the largest deviation (n,) of the curve from their chords.
         """

@@ -241,7 +241,9 @@ def _check(scene: PlanningScene, sequence: SequenceRequest) -> None:
 
 
 def _check_kept(request: PlanRequest, name: str) -> None:
-    """Raise an InputError if a motion in a sequence has requirements that a blend would violate."""
+    """Raise an InputError if a motion to be blended in a Pilz sequence has path constraints, torque limits or
+    jerk limits, because a blend does not keep them.
+    """
     is_pilz = (
         normalized_pipeline_id(request.pipeline_id) == PILZ
     )  # path constraints define CIRC's auxiliary point
@@ -325,8 +327,8 @@ def _blend(first: _Item, second: _Item, number: int) -> Blend | Outcome:
 
 
 def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
-    """Return the failure if a blend between two motions of a sequence exceeds the Cartesian speed limit or
-    leaves the workspace of one of the motions, else None.
+    """Check a blend of a Pilz sequence against the Cartesian speed limit and the workspace of one of the two
+    blended motions. Return the failure, or None if the blend keeps both.
     """
     request, speed = item.request, item.request.max_cartesian_speed
     if speed is not None:

@@ -30,8 +30,8 @@ class CartesianLimits:
 
     @property
     def equivalent_radius(self) -> float:
-        """Path length [m] that LIN and CIRC motions treat like a rotation by one radian: the ratio of the
-        Cartesian speed limits.
+        """Radius [m] at which LIN and CIRC motions convert rotation to path length: the translational speed
+        limit [m/s] divided by the rotational one [rad/s].
 
         With it, a motion reaches both speed limits together.
         """

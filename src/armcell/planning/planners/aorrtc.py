@@ -146,8 +146,8 @@ class AORRTCPlanner:
         return AORRTCResult(best, history, iterations, most, rounds)
 
     def improve(self, roots, lower, upper, bound, random, stop, iterations) -> tuple[int, int, int]:
-        """Search by AORRTC for a path that is shorter than `bound` [rad], and write it to the `path` of the
-        native planner.
+        """Search by AORRTC for a path that is shorter than `bound` [rad], and store the path in the array
+        `first.path`.
 
         See `aorrtc`.
 

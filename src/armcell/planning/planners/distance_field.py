@@ -121,8 +121,8 @@ def _bounds(T_world_shape, shape: Shape) -> tuple[Array, Array]:
 
 
 def _outside(over: Array) -> Array:
-    """Compute the signed distance [m] from points to a convex solid, for a distance field. The argument
-    contains the points' signed distances (..., k) from the solid's faces.
+    """Compute the signed distance [m] of points to a box or cylinder in a distance field, from the points'
+    signed distances (..., k) to the solid's faces.
     """
     return np.linalg.norm(np.maximum(over, 0.0), axis=-1) + np.minimum(over.max(axis=-1), 0.0)
 

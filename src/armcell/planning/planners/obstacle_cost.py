@@ -97,8 +97,8 @@ class RobotSpheres:
         return out
 
     def joint_gradient(self, R: Array, o: Array, x: F32, pull: F32) -> Array:
-        """Convert forces (m, s, 3) that the obstacle cost exerts on spheres at x (m, s, 3) to gradients (m,
-        n) with respect to the joint positions.
+        """Convert the obstacle cost's forces `pull` on the robot's spheres to the cost gradient (m, n) in
+        joint space. Forces and sphere positions x are (m, s, 3).
 
         The result is the sum of J^T f over the spheres.
         """
@@ -272,8 +272,8 @@ def _hinge(d: F32, clearance: float) -> tuple[F32, F32]:
 
 
 def _moved(x: NDArray) -> NDArray:
-    """Compute by central differences how far each sphere moves per step of a path (k, m, s, 3). The obstacle
-    cost is weighted by this distance.
+    """Compute the displacement of each sphere per waypoint of a path, by central differences of the sphere
+    positions x (k, m, s, 3). Its length weights the obstacle cost.
     """
     out = np.empty_like(x)
     out[:, 1:-1] = 0.5 * (x[:, 2:] - x[:, :-2])

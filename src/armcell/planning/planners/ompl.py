@@ -59,7 +59,8 @@ def declared_parameters(planner: ob.Planner, name: str) -> dict[str, str]:
 
 
 def make_settings_parser(name: str) -> SettingsParser:
-    """Create a parser for the parameters of an OMPL planner, which checks the values on a trial planner.
+    """Create a parser for the parameters of an OMPL planner. The parser checks the values by setting them on
+    a temporary planner.
 
     The settings are the parameters.
     """
@@ -79,7 +80,9 @@ def make_settings_parser(name: str) -> SettingsParser:
 
 @contextmanager
 def trial_planner(name: str) -> Iterator[ob.Planner]:
-    """Create an OMPL planner in a two-dimensional space that serves only to read and check its parameters."""
+    """Yield a temporary OMPL planner in a two-dimensional space. It only serves to list the planner's
+    parameters and to check their values; it plans nothing.
+    """
     ou.setLogLevel(ou.LOG_NONE)
     space = ob.RealVectorStateSpace(2)
     bounds = ob.RealVectorBounds(2)
@@ -301,8 +304,8 @@ def _time_for(name: str, problem: Problem) -> float:
 
 
 def _project(space: ob.RealVectorStateSpace, problem: Problem) -> None:
-    """Register the joints that define the grid cells of the OMPL planners KPIECE and BKPIECE, if the request
-    names them.
+    """Register the joints that span the projection grid of the OMPL planners KPIECE and BKPIECE, if the
+    request names such joints.
     """
     joints = problem.options.projection_evaluator
     if not joints:

@@ -26,8 +26,8 @@ WITHOUT_EFFECT = {
 
 @dataclass(frozen=True, eq=False)
 class PlannerChoice:
-    """Planner that a configuration selects, with its settings and the configuration keys that have no
-    effect.
+    """Result of reading a planner configuration: the selected planner, its settings, and the configuration
+    keys that have no effect.
     """
 
     planner: Planner

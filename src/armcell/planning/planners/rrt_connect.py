@@ -331,8 +331,8 @@ def unsolved_result(
 
 
 def _in_the_way(problem: Problem, closest: NDArray[np.float64]) -> list:
-    """Find the contacts at the first blocked configuration of the shortest connection that failed in
-    RRT-Connect.
+    """Find the contacts that kept the two RRT-Connect trees apart, at the first configuration in collision
+    on their shortest failed connection.
     """
     a, b = closest
     for t in np.linspace(0.0, 1.0, max(int(np.linalg.norm(b - a) / FINE), 2)):
@@ -384,8 +384,8 @@ def stop_flag(problem: Problem) -> Iterator[NDArray[np.int64]]:
 
 
 def simplify(problem: Problem, waypoints: Array) -> Array | None:
-    """Simplify the path (m, n) of another planner with the native RRT-Connect planner; the ends of the path
-    remain.
+    """Simplify a path (m, n) that another planner found, with the native RRT-Connect planner. The first and
+    last waypoints do not change.
 
     Return None if an edge cannot be proven.
 

@@ -167,8 +167,8 @@ class ShapeMessages:
         self.planes: list[tuple[Any, SE3]] = []
 
     def add(self, shape: Shape, T: SE3) -> None:
-        """Append the shape_msgs message of a shape, and its pose. A capsule becomes a cylinder and two
-        spheres.
+        """Convert a shape at pose T to shape_msgs messages, and append them with their poses to these lists.
+        A capsule becomes a cylinder and two spheres.
 
         Point clouds and octrees are omitted, because these lists cannot represent them.
         """

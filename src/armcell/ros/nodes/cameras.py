@@ -42,8 +42,8 @@ class CameraPublisher:
         self._cameras = [_Topics(bus, camera) for camera in cameras.values()]
 
     def publish(self, tf: Publisher | None = None) -> None:
-        """Publish the camera images that are due.
-        If something publishes /tf, the camera frames are published there as well.
+        """Publish the camera images that are due. If a publisher of /tf is given, also publish the camera
+        frames on /tf.
 
         Args:
             tf: publisher of /tf; None publishes no frames.

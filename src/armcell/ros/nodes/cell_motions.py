@@ -147,8 +147,8 @@ class CellMotions:
             self._widths[reading.held] = reading.width
 
     def edit_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Apply a client's change `make` to the cell's scene, and return the resulting scene. Clients'
-        motions are then checked against this scene.
+        """Replace the cell's scene by `make(scene)`, an edit that a client requests, and return the new
+        scene. Later motions of clients are checked against the new scene.
 
         Raises:
             InputError: `make` raised it; the world is unchanged.
@@ -310,8 +310,8 @@ class CellMotions:
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
     def _blocking_motion(self, work: MotionHandle, others: list[MotionHandle]) -> MotionHandle | None:
-        """Return another motion of the cell that must start or end
-        before the motion `work` can be checked, or None.
+        """Return a motion of the cell that must start or end before the collision check of `work`, another
+        motion, can begin. Return None if there is no such motion.
         """
         before = [w for w in self.conductor.motions(work.joints) if not w.gives_way]
         late = [w for w in others if w.began is None]
@@ -352,8 +352,8 @@ class CellMotions:
 
 
 class _Announced(GuardedMotion):
-    """Motion of the cell that `MotionGate` checks for collisions; the cell's observers are notified when the
-    motion starts.
+    """Motion of a served cell. `MotionGate` checks this motion for collisions, and the cell's observers are
+    notified when the motion starts.
     """
 
     def __init__(

@@ -77,8 +77,8 @@ class CellNode(CellMotions):
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step the cell of this node and execute the commands of its clients until `close`,
-        and then remove the node.
+        """Run the node until `close`: step the cell and execute the commands of its clients. Then remove the
+        node from the bus.
         """
         try:
             super().run()

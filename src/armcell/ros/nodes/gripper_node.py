@@ -154,8 +154,8 @@ class GripperMotions:
         """True if a client has commanded a gripper to close."""
 
     def drive(self, gripper: Gripper, width: float, force: float) -> MotionHandle:
-        """Start opening or closing a gripper on the bus.
-        A force of 0 selects the maximum force of the gripper.
+        """Queue a client's command to open or close a gripper. A force of 0 selects the maximum force of the
+        gripper.
 
         Args:
             gripper: the gripper.
@@ -178,8 +178,8 @@ class GripperMotions:
     def command_steps(
         self, driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
     ) -> ExecutionSteps:
-        """Open or close a gripper on the bus.
-        Before it closes, contacts of the fingers with nearby objects are declared as expected.
+        """Open or close a gripper. Before the gripper closes, allow contacts between its fingers and nearby
+        objects.
 
         The simulation and the motion gate then accept these contacts.
         """

@@ -313,7 +313,8 @@ class MotionQueue(DriverProxy):
 
 
 class _DriverForMotion(DriverProxy):
-    """View of the motion queue's driver for one motion: `stop` holds only the joints of this motion.
+    """Driver proxy that the motion queue passes to one motion. Its method `stop` holds only the joints of
+    this motion.
 
     The other joints continue their motions.
     """

@@ -210,8 +210,8 @@ class RemoteDriver(Driver):
         return take
 
     def _aim(self, gripper: str, width: float) -> None:
-        """Store the width [m] that a remote gripper was commanded to reach.
-        It cannot hold an object until it has had time to move.
+        """Store the width [m] that a remote gripper was commanded to reach. If the width is new, the gripper
+        counts as empty until its fingers have had time to move.
         """
         with self.lock:
             if abs(width - self._targets.get(gripper, np.inf)) > CLOSED:

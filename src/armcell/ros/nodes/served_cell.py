@@ -180,7 +180,8 @@ class ServedCell:
 
 
 class ServedPlanner(ServedCell):
-    """Planner and grasp server for a cell whose simulator or robot runs in another program on the bus.
+    """Planner and grasp server for a cell whose simulator or robot runs in another program, which is
+    connected through the ROS message bus.
 
     The driver of the cell is a `RemoteDriver`.
     """

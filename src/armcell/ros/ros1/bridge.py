@@ -167,8 +167,8 @@ class _ToBus:
 def _change(
     have: dict[str, str], want: dict[str, str], leave: Callable[[str], None], join: Callable[[str, str], None]
 ) -> None:
-    """Advertise or withdraw topics or services of the bridge in ROS 1
-    until ROS 1 has exactly the wanted names.
+    """Add and remove publishers, subscribers or services of the bridge in ROS 1 until their names and types
+    match the wanted ones.
 
     Args:
         have: dict from offered name to type; changed in place.

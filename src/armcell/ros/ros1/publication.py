@@ -83,8 +83,8 @@ class Publication:
         )
 
     def accept(self, sock: socket.socket, header: Fields, peer: str) -> None:
-        """Start sending the messages of a published topic to a ROS 1 subscriber.
-        The caller must have checked its header with `refusal`.
+        """Accept a ROS 1 subscriber of a published topic, and start sending messages to it. The caller must
+        first check the subscriber's connection header with `refusal`.
         """
         fields = {
             "callerid": self._caller, "topic": self.topic, "type": self.type, "md5sum": self.md5,
@@ -182,8 +182,8 @@ class SubscriberLink:
             return bool(self._rest or self._waiting)
 
     def put(self, frame: bytes) -> bool:
-        """Send or queue a message for a ROS 1 subscriber of the published topic. Return True if the reactor
-        must send the rest.
+        """Send a message to one ROS 1 subscriber of a topic, or queue the message. Return True if the reactor
+        (the I/O thread) must send the rest.
 
         Any thread may call this method.
         """

@@ -44,8 +44,8 @@ class ServedService:
         self.calls = 0
 
     def refusal(self, header: Fields) -> str | None:
-        """Return the reason for which a ROS 1 service refuses a client, or None.
-        The wording is that of roscpp and rospy.
+        """Return why a ROS 1 service refuses a client, in the wording of roscpp and rospy, or None if the
+        service accepts the client.
         """
         md5 = header["md5sum"]
         if md5 in (ANY, self.md5):

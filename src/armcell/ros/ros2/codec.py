@@ -190,8 +190,8 @@ def _is_empty(codec: Ros2Codec, name: str) -> bool:
 
 
 def _pairs(codec: Ros2Codec, name: str) -> list[tuple[str, str | None]]:
-    """List the fields of a ROS 2 message as pairs (field, attribute). The codec copies the attribute of the
-    bus message to the field; the attribute is None if the bus message has none.
+    """Pair each field of a ROS 2 message with the field of the bus message from which the codec copies its
+    value, or with None if the bus message has no such field.
 
     Names match regardless of case: CameraInfo's `d` in ROS 2 is `D` on the bus.
     """
@@ -209,7 +209,8 @@ _MISSING: Any = object()
 
 
 class _Translation:
-    """Function object with which the codec converts a message of the bus to the field layout of ROS 2.
+    """Function object of the ROS 2 codec that converts a message of armcell's bus to the field layout of the
+    ROS 2 message.
 
     Messages whose fields match already are returned without a copy.
     """

@@ -132,8 +132,8 @@ class Server:
                 self._context.complain(f"reply {self.name}", f"service {self.name}: {error}")
 
     def _is_there(self, writer: int) -> bool:
-        """Return whether the client of a ROS 2 service still exists.
-        Its reader must be discovered within `WAIT_FOR_CLIENT`.
+        """Return whether the client of a ROS 2 service still exists. If the reader of the client is not yet
+        discovered, wait for the reader up to `WAIT_FOR_CLIENT`.
         """
         give_up = time.monotonic() + WAIT_FOR_CLIENT
         while writer not in self._ready and not self._context.closed:

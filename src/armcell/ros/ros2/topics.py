@@ -132,8 +132,8 @@ class IncomingTopic:
                 context.complain(f"decode {self.topic}", f"{self.topic}: {error}")
 
     def check_qos(self) -> None:
-        """Adapt the QoS with which the bridge subscribes to a ROS 2 topic to the publishers of the topic.
-        Report incompatible publishers.
+        """Adapt the QoS of the bridge's subscription to a ROS 2 topic so that it matches the topic's
+        publishers, and report incompatible publishers.
         """
         context = self._context
         others = context.graph.endpoints(self._name.topic, writes=True)

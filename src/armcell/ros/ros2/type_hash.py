@@ -46,8 +46,8 @@ class TypeNames:
                 self._parts[action + part] = f"{_full(action, 'action')}_{part.removeprefix('_')}"
 
     def full(self, name: str) -> str:
-        """Convert `pkg/Name`, or a part of a service or action,
-        to the full type name that a type hash of ROS 2 contains.
+        """Return the full ROS 2 type name for a type hash, such as `pkg/msg/Name`. `name` is a message type
+        `pkg/Name` or a part of a service or action.
         """
         return self._parts.get(name) or _full(name, "msg")
 

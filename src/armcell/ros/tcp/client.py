@@ -165,8 +165,8 @@ class RosTcpClient:
 
 
 class _Connection(Peer):
-    """One connection of the ROS-TCP client to an endpoint.
-    Each time the client reconnects, it creates a new object.
+    """One connection of the ROS-TCP client to an endpoint. Each reconnection creates a new instance of this
+    class.
     """
 
     def __init__(self, bus: Bus, name: str, protocol: str, service_timeout: float):

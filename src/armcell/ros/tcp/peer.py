@@ -34,8 +34,8 @@ Params = dict[str, Any]
 
 
 class Peer:
-    """Program at the other end of a ROS-TCP connection. The code that creates a peer sets the peer's `link`,
-    and then starts the link.
+    """Program at the other end of a ROS-TCP connection, seen from this end. After creating a `Peer`, set its
+    attribute `link` (the connection), and only then start the link.
 
     Args:
         address: name of the peer in logs.

@@ -69,8 +69,8 @@ def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
 
 
 def _spread(corners: Array) -> list[int]:
-    """Return the indices of at least four mesh corners that span a volume.
-    The hull for Unity starts from these corners.
+    """Return the indices of at least four non-coplanar mesh corners, from which the convex hull for Unity is
+    grown.
 
     The corners are the extremes along ten directions, and further corners if these are coplanar.
     """

@@ -121,7 +121,8 @@ def number(element: Element, path: str, default: float | None = None) -> float:
 
 
 def flag(element: Element, path: str, default: bool = False) -> bool:
-    """Return the boolean value (true, false, 1 or 0) in the descendant of an SDF element at a path of tags.
+    """Return the Boolean value (true, false, 1 or 0) of the descendant that `path`, a path of tags, selects
+    in an SDF element.
 
     Raises:
         InputError: the text is not a boolean.

@@ -21,7 +21,7 @@ ABOVE = 4  # number of folders above a file that are searched for sibling models
 
 
 class ResourceFinder:
-    """Finder for the model and mesh files that SDF includes refer to by URI.
+    """Finder for the model and mesh files to which the URIs in an SDF file refer.
 
     The search covers the given folders, Gazebo's search path and the folders around the file.
     """
@@ -36,7 +36,9 @@ class ResourceFinder:
         self.folders = [*folders, *named]
 
     def _candidates(self, rest: str, base: Path) -> Iterator[Path]:
-        """Yield the paths that the URI model://NAME/... in an SDF <include> can refer to, nearest first."""
+        """Yield candidate paths for the URI model://NAME/... of an SDF <include>: first in the search
+        folders, then in the folders around the SDF file, innermost first.
+        """
         above = [base, *base.parents][: ABOVE + 1]
         for folder in (*self.folders, *above):
             yield folder / rest

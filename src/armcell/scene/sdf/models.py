@@ -50,8 +50,8 @@ class Scope:
         self, element: Element, name: str, default: str = "", pose: Element | None = None,
         T_pose_frame: SE3 | None = None,
     ) -> None:  # fmt: skip
-        """Add the frame of an SDF link, <frame>, joint or model to the frames of the world or model that
-        contains it.
+        """Add a named frame to this scope, an SDF world or model. The frame belongs to one of its links,
+        joints, nested models or <frame> elements.
 
         Args:
             element: the element, for error messages.
@@ -241,8 +241,8 @@ class ModelReader:
         return self.root(file)
 
     def _placed(self, element: Element, placed_by: Element, name: str, scope: Scope, depth: int) -> Model:
-        """Return an SDF model at the pose given by the element `placed_by`, which is the model itself or its
-        <include>.
+        """Build an SDF model and place it at the pose that the element `placed_by` states: the <include> of
+        the model, or else the <model> itself.
         """
         model = self._model(element, name, depth + 1)
         pose = child(placed_by, "pose")

@@ -162,8 +162,8 @@ def _coefficient(element: Element) -> float:
 
 
 def material_of(solids: list[SdfCollision]) -> tuple[Material, bool]:
-    """Return a single material for all SDF <collision> elements of an object,
-    and whether their materials differ.
+    """Combine the materials of an object's SDF <collision> elements into one material. Return the material,
+    and True if the elements' materials differ.
 
     If they differ, the smallest static and dynamic friction apply.
     """

@@ -47,7 +47,8 @@ LEAF_THRESHOLD = 1000  # number of nodes above which leaves are faster
 
 @inner_njit
 def nearest_node(t, tree, count, q, at):
-    """Find the nearest neighbor of q[at:] among the first `count` nodes of a search tree.
+    """Find the nearest neighbor of the configuration q[at : at + dims] among the first `count` nodes of a
+    search tree.
 
     New nodes join their leaves first. `t` holds the memory of both trees (see `tree_pointers`).
     """
@@ -91,7 +92,8 @@ def _clear(floats, ints, dims, f, boxes, i, leaf):
 
 @inner_njit
 def _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, source, at):
-    """Append a node to a leaf of the nearest-neighbor index; the leaf must have a free slot (SIMD lane).
+    """Append a node to a leaf of the nearest-neighbor index. The leaf must not be full: it holds L = 16
+    nodes, one per SIMD lane.
 
     The node's coordinates are source[at::L].
     """
@@ -164,8 +166,8 @@ def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, 
 
 @inner_njit
 def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, lanes):
-    """Return the slot of the nearest neighbor of configuration q[at:] in the leaves. The slot is 16 times the
-    leaf number, plus the SIMD lane within the leaf.
+    """Search all leaves of the nearest-neighbor index for the node nearest to configuration q[at : at +
+    dims]. Return its slot: 16 times the leaf number, plus the SIMD lane in the leaf.
     """
     zero, least, first = splat(np.float32(0.0)), np.float32(FAR * FAR), 0
     blocks = (leaves + L - 1) // L

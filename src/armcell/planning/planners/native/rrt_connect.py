@@ -118,9 +118,11 @@ def next_sample(s, dof, q, at):
 
 @inner_njit
 def begin_search(t, query, dof, space, found):
-    """Begin an RRT-Connect search: the start becomes the root of tree 0, and the goals become the roots of
-    tree 1. Initialize `space`, which holds the step sizes of the sample sequence, the last sample and the
-    closest approach.
+    """Begin an RRT-Connect search: make the start the root of tree 0 and the goals the roots of tree 1, and
+    initialize the scratch array `space`.
+
+    `space` holds the steps of the low-discrepancy sample sequence, the last sample, and the distance of the
+    closest approach between the trees.
     """
     add(t, 0, pointer(query.start), 0, -1, UNLIMITED)
     for g in range(len(query.goals)):
@@ -134,8 +136,8 @@ def begin_search(t, query, dof, space, found):
 
 @inner_njit
 def write_path(t, query, dof, found, row, path):
-    """Write the path (m, dof) that an RRT-Connect search found, and return the number of waypoints. The trees
-    store float32; the first and last waypoints are the exact start and goal.
+    """Write the waypoints of the path that RRT-Connect found to the array `path` (m, dof), and return their
+    number. The first and last waypoints are the exact start and goal.
 
     `row` is scratch memory of dof numbers.
     """
@@ -224,8 +226,8 @@ def _search(k, t, s, edge, closest, reach, step, stop, max_iterations, found):
 
 @njit(cache=True, nogil=True)
 def rrt_connect(handle, query, trees, space, found, stop, max_iterations, path):
-    """Search by RRT-Connect, in a compiled kernel, for a path from the start to one of the goals, and write
-    its waypoints (m, dof).
+    """Search by RRT-Connect for a path from the start to one of the goals, and write its waypoints to the
+    array `path` (m, dof). The search runs in a compiled kernel.
 
     Args:
         query: see `Query`. trees: see `tree.new_trees`.

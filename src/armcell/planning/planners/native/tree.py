@@ -100,7 +100,7 @@ def tree_pointers(trees):
 
 @inner_njit
 def remove_nodes(t):
-    """Empty the leaves of both search trees, which the nearest-neighbor search uses."""
+    """Clear the nearest-neighbor index of both search trees by emptying its leaves."""
     size = SIZES + most_leaves(t.capacity) * (L + 1) + t.capacity
     for tree in range(2):
         t.leaf_ints[tree * size + JOINED] = t.leaf_ints[tree * size + LEAVES] = 0
@@ -108,7 +108,7 @@ def remove_nodes(t):
 
 @inner_njit(forceinline=True)
 def put(nodes, dof, i, q, at):
-    """Store configuration q[at:] as node i of a native search tree.
+    """Store configuration q[at : at + dof] as node i in the node array of a search tree.
 
     Write nodes in ascending order. The rest of a new block is set far away.
     """
@@ -130,8 +130,8 @@ def get(nodes, dof, i, q, at):
 
 @inner_njit
 def nearest(nodes, dof, first, count, q, at, lanes):
-    """Find the node of a native search tree that is nearest to q[at:], by a linear scan of `count` nodes
-    beginning with node `first`.
+    """Find the node of a search tree nearest to configuration q[at : at + dof], by a linear scan of `count`
+    nodes from node `first` on. Return its index relative to `first`.
 
     `first` is a multiple of L.
 
@@ -156,15 +156,17 @@ def nearest(nodes, dof, first, count, q, at, lanes):
 
 @inner_njit(forceinline=True)
 def add(t, node, q, at, parent, radius):
-    """Add the configuration q[at:] to a search tree, at index `node` of the arrays that both trees share."""
+    """Store configuration q[at : at + dims] as node `node` of the search trees' arrays, with its parent and
+    radius.
+    """
     put(t.nodes, t.dims, node, q, at)
     t.parents[node], t.radii[node] = parent, radius
 
 
 @inner_njit
 def next_tree(tree, n0, n1):
-    """Choose the search tree to extend next: alternate between the two trees, but extend the last tree again
-    if the other one is at least twice as large.
+    """Choose the search tree to extend next: the two trees take turns, but a tree is extended again while the
+    other tree has at least twice as many nodes.
 
     Args:
         tree: the tree that was extended last. n0, n1: nodes of both trees.
@@ -179,8 +181,8 @@ def next_tree(tree, n0, n1):
 
 @inner_njit
 def trace(t, i, k, dof, row, path, most):
-    """Write the path that connects two native search trees: from the root of tree 0 to node i, then from node
-    k to the root of tree 1.
+    """Write the path that connects the two search trees to `path`: from the root of tree 0 to its node i,
+    then from node k of tree 1 to the root of tree 1.
 
     Args:
         row: scratch, as many numbers as a node has coordinates. path: rows of the first dof coordinates, at
