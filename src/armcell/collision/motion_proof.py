@@ -175,7 +175,7 @@ class ActiveMotion:
 
     @property
     def remaining(self) -> float:
-        """Return the time [s] until a running motion ends, to prove the rest of the motion collision-free."""
+        """Return the remaining duration [s] of a running motion, which the motion proof must cover."""
         return max(self.trajectory.duration - self.passed, 0.0)
 
     def positions(self, after: F64) -> F64:
@@ -269,8 +269,8 @@ def _conflict(
 
 
 def _earliest(checker: KernelChecker, points: F64, room: F64, proof: Certificate) -> Certificate:
-    """Search by bisection for the first contact of a motion that failed certification. The failed certificate
-    `proof` may report a later contact.
+    """Find the first contact of a motion that failed certification, by bisection over its waypoints. The
+    contact in `proof`, the failed certificate, may not be the first one.
     """
     edges = len(points) - 1
     free, not_free = 0, min(int(proof.at * edges) + 1, edges)  # last waypoints of a free and a failed prefix

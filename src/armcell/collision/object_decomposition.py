@@ -46,7 +46,8 @@ _FLAT = np.deg2rad(1.0)  # a smaller reflex angle counts as flat
 
 @dataclass(frozen=True, eq=False)
 class _Reflex:
-    """Reflex edges of a concave mesh: ends (e, 2, 3), planes (e, 3, 4) and weights (e,).
+    """Reflex edges of a concave mesh: endpoints (e, 2, 3), three candidate cutting planes per edge (e, 3, 4),
+    and weights (e,) equal to edge length times reflex angle.
 
     A plane is a normal and an offset.
     """
@@ -56,8 +57,8 @@ class _Reflex:
     weights: Array
 
     def below(self, plane: Array) -> _Reflex:
-        """Return the parts of a concave mesh's reflex edges that are
-        below a cutting plane, where n · x + d < 0.
+        """Clip the reflex edges of a concave mesh to the side of a cutting plane where n · x + d < 0, and
+        return the clipped edges.
         """
         height = self.ends @ plane[:3] + plane[3]  # (e, 2)
         rows = height.min(1) < -1e-7
@@ -233,8 +234,8 @@ def _half(piece: _Piece, plane: Array, work: _Work) -> _Piece:
 
 
 def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
-    """Return the corners (n, 3) of a piece's convex cell after the cell is cut by a plane. Only corners
-    inside the concave solid are returned.
+    """Return the corners (n, 3) of a convex cell of space after a plane cuts the cell. Only corners inside
+    the concave solid that is being decomposed are returned.
     """
     cell, n = piece.cell, len(piece.cell)
     old = piece.corners[piece.corners @ plane[:3] + plane[3] < 0]

@@ -94,7 +94,9 @@ def resting_contacts(checker: KernelChecker, q: ArrayLike) -> list[Contact]:
 
 
 def with_allowed_contacts(scene: PlanningScene, pairs: Iterable[Pair]) -> PlanningScene:
-    """Return the scene with contact allowed between the given pairs of bodies in resting contact."""
+    """Return a copy of the scene in which the given pairs of bodies, which rest on each other at the start of
+    a motion, may touch.
+    """
     for pair in pairs:
         a, b = sorted(pair)
         scene = scene.with_allowed(a, (b,))
@@ -179,7 +181,8 @@ def certify_from_rest(
 
 
 def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact]) -> Iterable[Pair]:
-    """Return the body pairs whose distances must be measured along a motion out of resting contact.
+    """Return the body pairs whose distances must be measured while a motion separates bodies that rest on
+    each other.
 
     These are the touching pairs if the kernel certifies all others, else all near pairs.
     """
@@ -251,7 +254,8 @@ class SeparationChecker:
         self._bound: MotionBound | None = None
 
     def forbidden_contact(self, q: ArrayLike) -> Contact | None:
-        """Return the forbidden contact at q (n,) when the robot leaves a resting contact, or None.
+        """Return a forbidden contact at configuration q (n,) while the robot separates bodies that rest on
+        each other, or None.
 
         A contact is forbidden if it is new, deeper than at the start, or dragged along.
         """
@@ -334,8 +338,8 @@ class SeparationChecker:
         return place, None
 
     def separating_until(self, points: Array, at: float) -> float:
-        """Return the position along a motion up to which the distance between the bodies that started in
-        resting contact keeps increasing.
+        """Return the position along a motion at which bodies that rested on each other at the start stop
+        moving apart.
 
         The search starts at `at`; both positions are counted in edges. The result is the end if the pairs
         separate all the time.
@@ -368,8 +372,8 @@ class SeparationChecker:
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """Return the index of a body pair whose contact is not allowed on a motion out of resting contact, or
-        None.
+        """Return the index of a body pair with a forbidden contact while a motion separates bodies that rest
+        on each other, or None.
 
         Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 
@@ -402,8 +406,8 @@ class SeparationChecker:
         )
 
     def _corners(self, k: int) -> tuple[Array, Array]:
-        """Return the box corners (8, 3) of both geometries of pair `k` in resting contact. The corners of
-        each box are in the frame of the other geometry.
+        """Return the bounding-box corners of both geometries of resting pair `k`, as two arrays (8, 3). The
+        corners of each geometry are in the frame of the other geometry.
         """
         a, b = (self._placed(int(i)) for i in self.pairs[k])
         return (a[1] - b[0][:3, 3]) @ b[0][:3, :3], (b[1] - a[0][:3, 3]) @ a[0][:3, :3]
@@ -430,8 +434,8 @@ def _between(points: Array, at: float) -> Array:
 
 
 def _from(points: Array, at: float) -> Array:
-    """Return the waypoints (m, n) of the part of a motion (k, n) that begins at the position `at`, where
-    resting contact has ended.
+    """Cut a motion (k, n) at the position `at`, where bodies have left resting contact, and return the
+    waypoints (m, n) of the remaining part.
 
     The position is counted in edges: 2.5 is the middle of the third edge.
     """
@@ -455,8 +459,8 @@ def _places(points: Array, at: float) -> Iterable[float]:
 
 
 def _along(at: float, share: float, rest: Array, edges: int) -> float:
-    """Convert a position in the part of a motion after resting contact to a position in the whole motion.
-    Both positions are fractions from 0 to 1.
+    """Convert a position on the remainder of a motion, after bodies have left resting contact, to a position
+    on the whole motion. Both positions are fractions from 0 to 1.
 
     Args:
         at: position where the rest begins, counted in edges.

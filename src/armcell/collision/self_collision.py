@@ -40,8 +40,8 @@ CHUNK = 4096  # samples between two calls of `progress`
 
 @njit(cache=True, nogil=True)
 def _ask_pairs(handle, pairs, q, masks):
-    """Fill a mask (pairs, blocks) for body pairs.
-    The bits of each entry mark the sampled configurations in which the pair is close.
+    """Test body pairs at sampled configurations, and set one bit in `masks` (pairs, blocks) for each
+    configuration in which a pair is close.
 
     A block has 16 rows of q.
     """
@@ -86,8 +86,8 @@ class PairSampler:
     def contact_masks(
         self, numbers: I64, q: F64, within: float = 0.0, progress: Callable[[int], None] | None = None
     ) -> NDArray[np.bool_]:
-        """Return a mask (len(numbers), samples) of the sampled configurations in which a body pair is in
-        contact.
+        """Return for each given body pair the sampled configurations in which the pair is in contact, as a
+        boolean mask (pairs, samples).
 
         Args:
             numbers: indices in `pairs`.
@@ -183,8 +183,8 @@ def disabled_collision_pairs(
 
 
 def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
-    """Return the link pairs that a joint connects, for the self-collision matrix. Links without geometry in
-    between are skipped.
+    """Return the pairs of adjacent links, for the self-collision matrix. Two links are adjacent if a joint,
+    or a chain of joints through links without geometry, connects them.
     """
     adjacent, solid_parent = set(), {}
     for joint in model.joints.values():
@@ -251,8 +251,8 @@ class _Survey:
     def _count(
         self, progress: Progress | None
     ) -> tuple[dict[frozenset[str], tuple[int, int]], dict[frozenset, Array]]:
-        """Count in how many samples each link pair is in self-collision, and collect states in which a pair
-        is near.
+        """Count the samples in which each link pair is in self-collision. For pairs that never collide, also
+        collect the sampled states in which the two links are close.
 
         Returns:
             Number of contact samples and of all samples by pair, and states (k, dof) in which the links are
@@ -326,8 +326,8 @@ class _Survey:
         return min(self.exact.pair_distance(i, j) for i in self.solids[a] for j in self.solids[b])
 
     def _distance_below(self, a: str, b: str, most: float) -> float:
-        """Return the signed distance [m] between two links, or `most` if they are not closer, to find
-        self-collisions. Cheaper tests rule out most states before the meshes are measured.
+        """Return the signed distance [m] between two links if it is less than `most`, else `most`, to search
+        for self-collisions. Cheap bounds avoid many distance computations between meshes.
         """
         pairs = self._solid_pairs(a, b)
         for i, j in pairs[self.exact.pair_gaps(pairs) < most].tolist():

@@ -246,8 +246,8 @@ class JointTrajectory:
         return q, v, a
 
     def _between(self, i: Any, s: Any, h: Sequence[Any]) -> tuple[F64, F64, F64]:
-        """Evaluate position, velocity and acceleration of a joint trajectory at a time s [s] after its point
-        i.
+        """Evaluate the position, velocity and acceleration of a joint trajectory between points i and i + 1,
+        at s seconds after point i.
 
         Args:
             h: powers 0 to 5 of the interval's length. For k times, s and the powers have shape (k, 1).

@@ -124,7 +124,7 @@ class Explanation:
 
 
 def to_json_types(value: Any) -> Any:
-    """Convert a value from an explanation to JSON types.
+    """Convert a value, such as one from the explanation of a failed request, to JSON types.
 
     Non-finite numbers become None, and a pose becomes a mapping of position and quaternion.
     """

@@ -97,8 +97,8 @@ class ShapeKind:
         return [float(getattr(shape, size)) for size in self.sizes]
 
     def named(self, shape: Any) -> dict[str, Any]:
-        """Return the sizes [m] of a shape as a dictionary with the keys that the shape table defines: one key
-        per size, or a single key (see `vector`) for the list of all sizes.
+        """Return the sizes [m] of a shape as a dictionary with keys from the shape table, such as `radius`.
+        If `self.vector` is set, it is the only key, with a list of all sizes.
         """
         values = self.values(shape)
         return {self.vector: values} if self.vector else dict(zip(self.sizes, values, strict=True))
@@ -106,8 +106,8 @@ class ShapeKind:
     def from_named(
         self, number: Callable[[str], float], vector: Callable[[str, int], Sequence[float]]
     ) -> Shape:
-        """Create a shape of this kind. The functions `number` and `vector` supply the sizes by name, such as
-        `radius`.
+        """Create a shape of the kind that this row of the shape table describes. The callbacks `number` and
+        `vector` look up the shape's sizes by name, such as `radius`.
 
         Args:
             number: reads one number by name.

@@ -164,8 +164,8 @@ class DisturbedSim(SteppedSim):
         self._pacer.wait_until(self.world.time)
 
     def _events(self) -> Iterator[int]:
-        """Yield the steps of the disturbed simulation at which a command,
-        push or displacement takes effect.
+        """Yield the physics steps at which the disturbed simulation must act: apply a delayed command, start
+        or end a push, or displace an object.
         """
         if self._late:
             yield self._late[0][0]
@@ -183,7 +183,9 @@ class DisturbedSim(SteppedSim):
                 forces[self.world.built.body[push.on], :3] += push.force
 
     def _move(self) -> None:
-        """Displace all objects of the disturbed simulation whose displacements are due."""
+        """Move objects of the disturbed simulation by each scheduled displacement whose start time has been
+        reached.
+        """
         while self._moved < len(self._moves) and self._moves[self._moved][0] <= self._steps:
             move = self._moves[self._moved][1]
             T = self.world.object_pose(move.object)

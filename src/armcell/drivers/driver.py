@@ -261,7 +261,8 @@ class Driver(ABC):
 
     # --- whole trajectories: Capability.PLAY_TRAJECTORY ---
     def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
-        """Start a trajectory that the driver's robot plays itself, and return a handle for it.
+        """Start a whole trajectory, which the driver executes without further commands from the caller.
+        Return a handle to monitor or cancel the trajectory.
 
         Raises:
             InputError: the robot may not move, or the trajectory names joints that are not arm joints.
@@ -315,7 +316,9 @@ class Driver(ABC):
 
     @property
     def speed_fraction(self) -> float:
-        """Return the fraction of full speed (0..1) that sliders and pauses allow the driver's slowest arm."""
+        """Return the current speed scaling of the driver's slowest arm, as a fraction of full speed (0..1).
+        Speed sliders and pauses reduce the fraction.
+        """
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     # --- modes: Capability.REPORT_MODES ---

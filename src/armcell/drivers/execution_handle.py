@@ -15,7 +15,9 @@ RUNNING, DONE, CANCELLED = "running", "done", "cancelled"  # states of a traject
 
 
 class ExecutionHandle(Protocol):
-    """Handle for following a trajectory that the robot plays itself."""
+    """Handle to monitor and cancel a trajectory that the driver executes without further commands from the
+    caller.
+    """
 
     def trajectory_time(self) -> float | None:
         """Return the robot's progress [s] along a trajectory that it plays itself. The speed slider and
@@ -39,8 +41,8 @@ class ExecutionHandle(Protocol):
 
 
 class SetpointHistory:
-    """History of the setpoints that were streamed to follow a trajectory. It maps the time at which a
-    setpoint was due to its time on the trajectory.
+    """History of the streamed setpoints of a trajectory. It maps the clock time for which each setpoint was
+    scheduled to the setpoint's time along the trajectory.
     """
 
     KEPT = 200  # points

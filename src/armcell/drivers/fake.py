@@ -116,7 +116,9 @@ class FakeDriver(Driver):
         return self._tree.link_pose(self._q, self._model.gripper(gripper).tcp_link)
 
     def _take(self, gripper: str) -> None:
-        """Let a fake gripper hold the object between its fingers or under its cups, if there is one."""
+        """Let a fake gripper hold the object between its fingers or under its suction cups. Do nothing if
+        there is no such object.
+        """
         if item := self._between(gripper):
             self._held[gripper] = (item, self._tcp(gripper).inverse() @ self._poses[item])
 

@@ -27,7 +27,9 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Fault:
-    """Safety fault, which is the reason why an arm must not move."""
+    """Safety fault of an arm, with its kind, description and remedy. The arm must not move while it has a
+    fault.
+    """
 
     arm: str
     kind: str  # "protective stop", "emergency stop", "stale state", ...
@@ -166,7 +168,8 @@ class ExecutionMonitor(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ArmSample:
-    """One measurement of a real arm, which the motion guard compares with the dry run.
+    """One measurement of a real arm. The motion guard compares it with the simulated dry run of the same
+    motion.
 
     Attributes:
         positions: (n,) [rad].
@@ -203,8 +206,8 @@ class GuardedArm(Protocol):
 
 
 class DryRunSimulation(Protocol):
-    """Interface of a motion guard's dry-run simulation, for declaring expected contacts and watching held
-    objects.
+    """Interface of the simulation in which a motion guard dry-runs motions. Callers use it to declare
+    expected contacts and to watch held objects.
     """
 
     def expect_contact(self, body: str, others: tuple[str, ...], expected: bool) -> None: ...

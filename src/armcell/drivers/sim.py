@@ -27,8 +27,8 @@ PERIOD = 0.004  # [s] between commands, rounded to whole physics steps
 
 
 class SteppedSim(Driver):
-    """Driver for the MuJoCo simulation with one command per period,
-    which runs in lock-step or paced by wall time.
+    """Driver for the MuJoCo simulation with one command per control period. Simulated time advances in
+    lock-step with the commands or is paced by wall time.
 
     Lock-step runs as fast as the computer allows.
     """
@@ -138,7 +138,9 @@ class SteppedSim(Driver):
 
 
 class SimDriver(SteppedSim):
-    """Driver for the MuJoCo simulation that can also play parts of a trajectory itself."""
+    """Driver for the MuJoCo simulation that can also execute part of a trajectory in a single call, instead
+    of one command per control period.
+    """
 
     capabilities = SteppedSim.capabilities | {Capability.PLAY_PARTS}
 

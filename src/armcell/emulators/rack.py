@@ -40,8 +40,8 @@ class EmulatedController(Protocol):
 
     @property
     def in_use(self) -> bool:
-        """Return whether a client uses an emulated controller in the rack. A client that an injected fault
-        has disconnected still counts.
+        """Return whether a client uses an emulated controller that runs in a `Rack`. A client that an
+        injected fault has disconnected still counts.
         """
         ...
 
@@ -56,8 +56,8 @@ class EmulatedController(Protocol):
         ...
 
     def trace(self) -> bytes:
-        """Return the record of the last control step of an emulated
-        controller in the rack, for a trace file.
+        """Return the trace-file record of an emulated controller's last control step. A `Rack` writes the
+        records of its controllers.
         """
         ...
 
@@ -65,8 +65,8 @@ class EmulatedController(Protocol):
 
 
 def selector() -> selectors.BaseSelector:
-    """Return an I/O selector for a rack of emulated controllers that
-    supports timeouts of less than a millisecond.
+    """Return an I/O selector for the network ports of all emulated controllers in a `Rack`. The selector
+    supports timeouts of less than 1 ms.
 
     epoll would round timeouts up to whole milliseconds.
     """
@@ -77,7 +77,7 @@ AnyController = TypeVar("AnyController", bound=EmulatedController)
 
 
 class Rack(Generic[AnyController]):
-    """Rack of several emulated controllers that run in one thread, paced by wall time.
+    """Event loop that runs several emulated robot controllers in one thread, paced by wall time.
 
     Args:
         controllers: controllers on one selector.
@@ -181,8 +181,8 @@ class SharedPlant(Protocol):
     """Interface of an emulated arm in a shared world."""
 
     def set_joint_targets(self, time: float) -> None:
-        """Set an emulated arm's commands for the physics step of the shared world that ends at a world time
-        [s].
+        """Set the joint targets of an emulated arm in the shared world for the next physics step, which ends
+        at the world time `time` [s].
         """
         ...
 
@@ -216,8 +216,8 @@ class SharedWorld:
             plant.follow_reset()
 
     def advance(self, period: float) -> None:
-        """Advance the shared world by one arm's share of its control period [s]. Each of the n arms with the
-        shortest period contributes 1/n of the period.
+        """Advance the shared physics world after a control period [s] of one arm. Each of the n arms with the
+        shortest period advances the world by 1/n of the period; other arms do not advance it.
 
         A remainder of less than one time step is kept for later.
         """

@@ -36,14 +36,14 @@ NOT_STARTED = "not_started"  # evidence key of a motion that the gate refused
 
 
 class World(Protocol):
-    """Interface through which the motion gate reads a robot cell: its scene, objects, expected contacts and
-    clock.
+    """Interface to the robot cell for the motion gate, which checks motions for collisions. The gate reads
+    the cell's scene, objects, expected contacts and clock.
     """
 
     @property
     def base(self) -> PlanningScene:
-        """Planning scene of the cell for the motion gate, before measured joint positions and object poses
-        are applied. Every change to the scene results in a new object.
+        """Planning scene of the cell for the motion gate's collision checks, without measured joint positions
+        and object poses. When the scene changes, this is a new `PlanningScene` object.
         """
         ...
 
@@ -103,8 +103,8 @@ class MotionGate:
         cancel: threading.Event | None = None,
         scene: Callable[[], PlanningScene] | None = None,
     ) -> GuardedMotion:
-        """Wrap a trajectory in a `GuardedMotion`, which this motion gate checks for collisions and the
-        executor accepts.
+        """Wrap a trajectory in a `GuardedMotion`. The executor accepts this motion because the motion gate
+        checks it for collisions.
 
         Args:
             planned_in: scene in which the trajectory was planned; its allowed contacts apply to the motion.
@@ -120,8 +120,8 @@ class MotionGate:
         ignore: GuardedMotion | None = None,
         planned: PlanningScene | None = None,
     ) -> Conflict | None:
-        """Return the first collision on the rest of a motion, including collisions with other running
-        motions. Return None if there is none.
+        """Return the first collision on the remaining part of a motion, with the scene or with another
+        running motion. Return None if there is no collision.
 
         Args:
             ignore: a running motion to ignore, usually the motion under test.
@@ -179,8 +179,8 @@ class Executable(threading.Event, ABC):
 
 
 def executable(motion: object) -> Executable:
-    """Return `motion` unchanged if the executor accepts it: a `GuardedMotion` from a motion gate, or an
-    `UngatedMotion`. Otherwise raise an error.
+    """Return `motion` unchanged if the executor may play it: a `GuardedMotion`, which the motion gate checks,
+    or an `UngatedMotion` without collision checks. Otherwise raise an error.
 
     Raises:
         InputError: `motion` is a bare trajectory that no gate has checked.

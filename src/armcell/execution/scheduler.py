@@ -92,7 +92,8 @@ class CooperativeScheduler:
 
 
 class ArmDriver(DriverProxy):
-    """Driver that the cooperative scheduler gives to one of several programs on the same robot.
+    """Driver proxy for one of several programs that run concurrently on the same robot. The cooperative
+    scheduler creates one proxy per program.
 
     A sleep lets time pass for all programs; `stop` acts on the program's own joints.
     """

@@ -69,8 +69,8 @@ class SetpointSource(ABC):
         """
 
     def ended(self) -> Outcome | None:
-        """Return the outcome if, according to the setpoint source, the motion has ended for a reason other
-        than a violated tolerance, else None.
+        """Return the outcome if the setpoint source reports that the motion has ended, for example because
+        the robot aborted it. Return None while the motion may continue.
         """
         return None
 

@@ -294,8 +294,8 @@ def _judged(
 
 
 def _why(verdict: int, measures: Array, hand: Hand) -> tuple[str, int, float]:
-    """Return why a grasp candidate does not fit, how many checks it passed, and by how much it failed the
-    next one.
+    """Describe why a grasp candidate was rejected. Return the reason, the number of checks that it passed,
+    and by how much [m] the failed check was violated.
     """
     by, opens = float(measures[2]), hand.gripper.max_width
     mm = 1000 * by

@@ -126,8 +126,8 @@ def cached_near_groups(
 
 @njit(cache=True)
 def meeting_groups(i, j, frames, lower, upper):
-    """Return a mask (groups of i, groups of j) of the sphere groups that
-    can come near each other, for two bodies i and j.
+    """Return a mask of the sphere groups of two bodies i and j that can come near each other: one row per
+    group of i, one column per group of j.
 
     It is False for two groups only if they are proven more than `APART` apart at all joint positions.
 

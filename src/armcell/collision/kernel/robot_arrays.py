@@ -304,8 +304,8 @@ class _Builder:
         )
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
-        """Return upper bounds (groups, columns) on how far each sphere group of a robot body moves when the
-        joint of a column moves by one unit.
+        """Return upper bounds (groups, columns) on how far [m] each sphere group of a robot body moves per
+        unit [rad or m] of each joint variable. Each column belongs to one joint variable.
 
         The bounds are like those of `_reach`.
 
@@ -354,8 +354,8 @@ class _Builder:
         return reach * (1 + 1e-6)
 
     def _span(self, frame: int) -> float:
-        """Return the largest absolute position [rad or m] that the limits allow for the joint that moves a
-        given link frame of the collision kernel.
+        """Return the largest absolute position [rad or m] within the limits of a joint. The joint is given by
+        the frame that it moves in the collision kernel.
         """
         limits = self.model.joints[self.joint_names[self.column[frame]]].limits
         return max(abs(limits.lower), abs(limits.upper))

@@ -62,7 +62,7 @@ class _PointerModel(models.PrimitiveModel):
 
 @intrinsic
 def pointer(typingctx, array):
-    """Return a bare pointer to a contiguous array for SIMD code."""
+    """Return a pointer to the first element of a contiguous array, for Numba SIMD code."""
 
     def codegen(context, builder, signature, args):
         return context.make_array(signature.args[0])(context, builder, args[0]).data
@@ -72,7 +72,7 @@ def pointer(typingctx, array):
 
 @intrinsic
 def at_address(typingctx, dtype, address):
-    """Return a bare pointer to numbers of a given type at a memory address (int64), for Numba SIMD code."""
+    """Convert a memory address (int64) to a pointer with a given element type, for Numba SIMD code."""
     kind = dtype.instance_type
 
     def codegen(context, builder, signature, args):

@@ -107,8 +107,8 @@ def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
 
 
 def _within(owner: I64, sizes: I64 | Sequence[int]) -> I64:
-    """Return for each entry of a table the total size of all earlier
-    entries that belong to the same world object.
+    """Return the offset of each entry of a kernel table within its world object: the total size of the
+    earlier entries of the same object.
 
     The owners are sorted.
     """
@@ -196,8 +196,8 @@ class World:
 
     @cached_property
     def starts(self) -> I64:
-        """Return at which row the data of each object starts in each kernel table of the world, as an array
-        (objects + 1, len(ROWS)).
+        """Return the index of each world object's first row in each kernel table, as an array (objects + 1,
+        len(ROWS)). The last row holds the total number of rows per table.
         """
         return np.vstack([np.zeros((1, len(ROWS)), np.int64), np.cumsum(self.counts, axis=0)])
 
@@ -309,8 +309,8 @@ def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, 
 
 
 def _runs(known: I64) -> tuple[I64, I64]:
-    """Split the objects of a changed world into runs that are copied together: consecutive indices in the
-    last world's arrays, or new objects (-1).
+    """Split the objects of a changed world into runs. A run is either consecutive in the arrays of the
+    previous world, so that it is copied as one block, or contains only new objects (index -1).
     """
     new = known < 0
     joins = np.where(new[1:], new[:-1], ~new[:-1] & (np.diff(known) == 1))

@@ -299,8 +299,8 @@ class FrankaArm(RealArm):
         return self._number, slower
 
     def clock(self, number: int) -> float:
-        """Return the progress [s] of the Franka arm in a motion that it plays.
-        It is 0 before the motion starts.
+        """Return the progress [s] of the Franka arm along a motion that its worker process executes. The
+        progress is 0 before the motion starts.
         """
         current, clock = self._link.progress
         return clock if current == number else 0.0

@@ -96,7 +96,7 @@ class FrankyClient(FciClient):
 
     def _packed(self, state: Any, now: int) -> bytes:
         """Encode a robot state from the library `franky` as a Franka state message. During a motion, the
-        desired joint motion in the message is the streamed reference.
+        desired joint positions, velocities and accelerations in the message are the streamed reference.
         """
         m, mode = self._message, RobotMode(int(state.robot_mode.value))
         for field in ("q", "dq", "tau_J", "dtau_J", "tau_ext_hat_filtered", "O_F_ext_hat_K", "K_F_ext_hat_K"):
@@ -204,8 +204,8 @@ class FrankyClient(FciClient):
             self._tried(self._robot_api.stop)
 
     def command(self, data: bytes) -> None:
-        """Set the reference of `franky`'s joint impedance controller from a motion command: the position, its
-        rate of change, and the torque that accelerates the arm accordingly.
+        """Pass a motion command to `franky`'s joint impedance controller as joint positions, velocities and
+        feedforward torques. Finite differences of the commands give the velocities and accelerations.
         """
         motion, wanted = self._motion, read_command(data)
         if motion is None or self._finished:

@@ -73,7 +73,7 @@ class DecayingDeviation:
 
     def at(self, t: float) -> Array | None:
         """Return the deviation (7,) [rad] of the streamed Franka setpoints from the planned motion, t seconds
-        after the decay began. Return None once the deviation has decayed.
+        after the deviation began to decay, or None when it has decayed to zero.
         """
         x = t / self._duration
         return None if x >= 1.0 else np.power(x, np.arange(6)) @ self._coefficients
@@ -156,8 +156,8 @@ class TimedSetpoints:
 
 
 def _coasts_from(points: list[Point], now: float) -> Point | None:
-    """Return the last streamed setpoint that a Franka arm has passed.
-    Return None if another setpoint follows soon.
+    """Return the most recent setpoint of the stream to a Franka arm if no further setpoint follows it within
+    `GAP`, so that the arm must decelerate. Otherwise return None.
     """
     passed = [point for point in points if point[0] <= now]
     coming = points[len(passed) :]
@@ -167,8 +167,8 @@ def _coasts_from(points: list[Point], now: float) -> Point | None:
 
 
 def _coasted(point: Point, now: float) -> tuple[Array, Array]:
-    """Return the positions and velocities (7,) of a Franka arm that has
-    decelerated since it passed a streamed setpoint.
+    """Compute the positions and velocities (7,) of a Franka arm at the time `now`, if the arm decelerates
+    from a streamed setpoint because the stream has a gap.
     """
     last, q, v = point
     passed = np.minimum(now - last, np.abs(v) / COAST)

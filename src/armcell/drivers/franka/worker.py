@@ -188,8 +188,8 @@ class Worker:
             self._points.add(*point)
 
     def _start(self, state: RobotState, since: float, source: SampledTrajectory | TimedSetpoints) -> None:
-        """Start the waiting motion of the Franka worker once the robot is idle.
-        It has been waiting since the time `since` [s, monotonic].
+        """Start the waiting motion of the Franka worker if the robot is idle. The motion has been waiting
+        since the time `since` [s, monotonic].
         """
         if state.mode != RobotMode.IDLE or state.generator != GeneratorMode.IDLE:
             if time.monotonic() - since > START_TIME:

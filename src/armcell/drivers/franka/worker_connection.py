@@ -113,8 +113,8 @@ class WorkerConnection:
         self.error = self.error or "closed"
 
     def close_hung(self) -> None:
-        """Close the link to a worker of a Franka arm that sends no states any more,
-        so that `start` replaces it: a library may wait forever for the rest of a damaged message.
+        """Close the link to a hung worker of a Franka arm, which no longer sends robot states, so that
+        `start` can replace the worker. A worker can hang when its library receives a damaged message.
         """
         if self.state_age > SILENCE:
             self.close()

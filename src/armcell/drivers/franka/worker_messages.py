@@ -24,8 +24,8 @@ def pack_json(kind: int, value: dict[str, Any]) -> bytes:
 
 
 def take_message(received: bytearray) -> tuple[int, bytes] | None:
-    """Remove the first complete frame from a buffer with data of a Franka worker, and return it.
-    Return None if no frame is complete.
+    """Remove the first complete message between a Franka driver and its worker process from the received
+    bytes. Return the kind and content of the message, or None if no message is complete.
     """
     if len(received) < _HEAD.size:
         return None

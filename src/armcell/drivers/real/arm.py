@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class RealGripper(Protocol):
-    """Interface of the gripper of a real arm, as mode `real` uses it.
+    """Interface of the gripper on a real arm, for execution in mode `real`.
 
     Attributes:
         hint: remedy for a gripper that no longer answers.
@@ -93,8 +93,8 @@ class RealArm(ABC):
 
     @abstractmethod
     def send_keep_alive(self) -> None:
-        """Send the keep-alive signal to the robot of a real arm, which stops without this signal.
-        The call must not raise or block.
+        """Send a keep-alive signal to the robot controller of a real arm. Without this signal, the robot
+        stops. The call must not raise or block.
         """
 
     def start_round_trip_measurement(self) -> Callable[[], float]:
@@ -131,7 +131,9 @@ class RealArm(ABC):
     @property
     @abstractmethod
     def speed_scaling(self) -> float:
-        """Return the fraction of full speed (0 to 1) that the slider and pauses of a real arm allow."""
+        """Return the current speed scaling of a real arm, as a fraction of full speed (0 to 1). The speed
+        slider and pauses reduce the fraction.
+        """
 
     @abstractmethod
     def set_slider(self, fraction: float) -> None:

@@ -132,7 +132,9 @@ class RealDriver(Driver):
         return self
 
     def _begin_guard(self, guard: MotionGuard, supervisor: Supervisor) -> None:
-        """Provide the twin guard with the real driver's event log and its measured network round trips."""
+        """Prepare the motion guard for the real driver's arms: check their calibrations, measure network
+        round trips, and connect the event log.
+        """
         guard.check_calibration(self.calibrations())
         guard.trips = {name: arm.start_round_trip_measurement() for name, arm in self.arms.items()}
         guard.note = supervisor.record
@@ -166,7 +168,9 @@ class RealDriver(Driver):
         return self._supervisor
 
     def dry_run(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Dry-run a trajectory for the real driver in the twin. Return the reason to refuse it, or None."""
+        """Dry-run a trajectory for the real driver in the simulated twin. Return an `Outcome` with the reason
+        for rejecting the trajectory, or None.
+        """
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
         held = {gripper: held.name for gripper, held in self._held.items()}
@@ -246,8 +250,8 @@ class RealDriver(Driver):
 
     @property
     def next_command_time(self) -> float:
-        """Return the real driver's time [s] for the next command.
-        Each call of `advance` adds its duration to this time.
+        """Return the time [s] on the real driver's clock at which the next command is due. Each call of
+        `advance` moves this time forward by its duration.
 
         After a delay of more than `stream_lead`, it jumps to the current time.
         """
@@ -399,8 +403,8 @@ class RealDriver(Driver):
 
     @property
     def speed_fraction(self) -> float:
-        """Return the fraction of full speed (0 to 1) that sliders and
-        pauses allow the real driver's slowest arm.
+        """Return the current speed scaling of the real driver's slowest arm, as a fraction of full speed (0
+        to 1). Speed sliders and pauses reduce the fraction.
         """
         return min((arm.speed_scaling for arm in self.arms.values()), default=1.0)
 

@@ -24,7 +24,9 @@ I = TypeVar("I", bound=RobotIdentity)
 
 
 class BackendLibrary(NamedTuple):
-    """Library that a motion backend needs, and how to install it."""
+    """Python library that a motion backend of a real robot requires: its name, its module, the extra of
+    armcell that installs it, and the systems with prebuilt wheels.
+    """
 
     name: str
     module: str  # that Python imports
@@ -78,7 +80,9 @@ class RobotKind(ABC, Generic[A, I]):
             )
 
     def controller_description(self, backend: str) -> str:
-        """Describe in a few words what controls the arms of a robot kind, for example "our program"."""
+        """Return a short description of the software that controls the arms of a robot kind with a given
+        motion backend, such as "our program" for a UR.
+        """
         return backend
 
     # --- identity and readiness; nothing moves ---
@@ -100,7 +104,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def check_ready(self, name: str, found: I) -> None:
-        """Check, by the rules of its robot kind, that a robot can be driven now.
+        """Check that a robot is ready to be driven, by the criteria of its robot kind, such as UR or Franka.
 
         Raises:
             InputError: the robot cannot be driven; the message states the remedy.

@@ -116,8 +116,8 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
 
 
 def _fitting(own: SE3, wanted: Array, nominal: SE3, slide: float) -> tuple[float, float]:
-    """Return the rotation and offset of a link for UR calibration. They are chosen so that the next joint is
-    close to its nominal position.
+    """Compute the rotation of a UR link and the offset of the next joint along its axis that keep this joint
+    close to its nominal position in the calibrated model.
 
     Args:
         own: K_i of the robot.

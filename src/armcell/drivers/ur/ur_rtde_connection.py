@@ -48,8 +48,8 @@ class UrRtdeConnection:
         return self._socket is not None
 
     def start(self) -> int:
-        """Start a `ur_rtde` subprocess, which runs the library's script on the UR robot.
-        Return the session number.
+        """Start a subprocess with the library `ur_rtde`, which uploads its own control script to the UR
+        robot. Return the session number.
 
         Raises:
             InputError: ur_rtde cannot take control of the robot.

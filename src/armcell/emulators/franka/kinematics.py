@@ -194,8 +194,8 @@ def rotation_exp(w: Array) -> Array:
 
 
 def urdf(model: RobotModel, group: str, limits: FrankaLimits) -> str:
-    """Return the URDF with the arm's kinematics, without the hand,
-    that the emulated Franka robot sends to clients.
+    """Return the URDF of the emulated Franka arm, without the hand, as the robot's controller sends it to
+    clients.
 
     Clients compute dynamics with it and read velocity limits from it, so every joint has
     `position_based_velocity_limits`.

@@ -29,8 +29,8 @@ ELBOW_START = 1e-2  # [rad]
 
 
 class Reflex(Exception):
-    """Reflex of the emulated Franka arm: the error that a motion generator raises for an invalid command or a
-    violated limit, and that ends the motion.
+    """Reflex error of the emulated Franka arm. A motion generator raises the error for an invalid command or
+    a violated limit, and the error ends the motion.
 
     Attributes:
         error: name in `wire.errors.ERRORS`.

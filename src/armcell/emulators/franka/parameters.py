@@ -40,8 +40,8 @@ def _both(lower: Sequence[float], more: float) -> dict[str, Array]:
 
 @dataclass
 class Load:
-    """Load in the parameters of a Franka robot: mass [kg], center (3,) [m] in the flange frame,
-    and inertia (9,) [kg m^2].
+    """Parameters of the load that a Franka robot carries: mass [kg], center of mass (3,) [m] in the flange
+    frame, and inertia (9,) [kg m^2].
     """
 
     mass: float = 0.0

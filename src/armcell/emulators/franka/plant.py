@@ -89,8 +89,8 @@ class FrankaPlant:
         return self._filtered
 
     def inertial_torque(self, acceleration: Array) -> Array:
-        """Return the joint torques (7,) [Nm] that give the arm and hand of the
-        Franka plant the desired accelerations [rad/s^2].
+        """Compute the joint torques (7,) [Nm] that accelerate the simulated Franka arm and hand as desired
+        (7,) [rad/s^2], from the mass matrix.
         """
         model, data = self.world.mj_model, self.world._data
         wanted, torque = np.zeros(model.nv), np.zeros(model.nv)
@@ -118,8 +118,8 @@ class FrankaPlant:
         return np.diag(full)[self._dofs].copy()
 
     def _weight(self) -> Array:
-        """Return the joint torques (7,) [Nm] with which the Franka plant
-        carries a payload that is unknown to its controller.
+        """Return the joint torques (7,) [Nm] that support the weight of a payload in the physics of the
+        emulated Franka arm. The arm's controller does not know this payload.
         """
         if not self._payload:
             return np.zeros(JOINTS)
@@ -192,8 +192,8 @@ class FrankaPlant:
 
     # --- faults ---
     def displace(self, q: ArrayLike) -> None:
-        """Move the joints of the Franka plant to positions (7,) [rad] at once,
-        as if a person had guided the arm there.
+        """Set the joint positions (7,) [rad] of the emulated Franka arm in its physics world at once, as if a
+        person had moved the arm by hand.
         """
         positions = np.array(self.world.joint_state().positions)
         positions[self.world.robot.columns(self.names)] = q

@@ -210,7 +210,9 @@ class Robot:
             self._finish(MoveStatus.SUCCESS)
 
     def _control(self) -> Array:
-        """Return the desired torques (7,) [Nm] of the emulated Franka robot, beyond gravity and friction."""
+        """Compute the torques (7,) [Nm] that the controller of the emulated Franka robot commands. Gravity
+        and friction are compensated separately.
+        """
         if self.motion is not None and self.motion.by_torque and self._brake is None:
             return self._commanded_torque
         if self.mode is RobotMode.GUIDING:

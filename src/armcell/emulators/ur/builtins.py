@@ -129,8 +129,8 @@ def _six(name: str, values: Any) -> Any:
 
 
 def contact_steps(robot: Robot, direction: Any) -> int:
-    """Built-in URScript force function that returns the number of
-    control steps since a contact of the tool began, or 0.
+    """Implement URScript's built-in function `tool_contact`: return the number of control steps since the
+    tool made contact, or 0 without contact.
 
     Args:
         direction: tool motion direction (3,), base frame; a zero vector detects forces from every direction.

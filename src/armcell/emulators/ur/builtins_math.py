@@ -133,8 +133,8 @@ def _rpy(R: Any) -> tuple[float, float, float]:
 
 
 def _wrench_trans(T_from_to: Any, w_from: Any) -> Vec:
-    """Transform a wrench (force, torque) to the axes and origin of another frame,
-    as a built-in math function of URScript.
+    """Implement URScript's built-in function `wrench_trans`: transform a wrench (force, torque) to the axes
+    and origin of another frame.
     """
     T = matrix_of(T_from_to)
     force, torque = np.asarray(w_from[:3]), np.asarray(w_from[3:])

@@ -79,7 +79,8 @@ def freedrive(axes: Array, T_base_task: Array | None) -> Compliance:
 def force_mode(
     s: Setpoint, task_frame: list[float], axes: Array, wrench: Array, kind: int, limits: Array, gain: float
 ) -> Compliance:
-    """Return the compliance that URScript's `force_mode` defines for a task frame and a type.
+    """Return the `Compliance` that implements URScript's `force_mode`. The mode's type (1, 2 or 3) determines
+    how the task frame is rotated.
 
     Type 1 rotates the task frame so that its y axis points from the frame's origin to the TCP. Type 2 keeps
     the frame. Type 3 rotates it so that its x axis follows the tool's motion in the frame's x-y plane.

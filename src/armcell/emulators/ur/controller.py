@@ -136,7 +136,8 @@ class UrController:
 
 
 class UrRack(Rack[UrController]):
-    """Rack of several emulated UR controllers that run in one thread. Those with physics share one world.
+    """Event loop that runs several emulated UR controllers in one thread. All arms with simulated physics
+    share one physics world.
 
     Args:
         trace: file for records in the format `TRACE`.
@@ -166,7 +167,9 @@ class UrRack(Rack[UrController]):
 
 
 class EmulatedUr:
-    """Emulated robot kind `ur`: a UR controller with an arm in the cell's physics world."""
+    """Factory for emulated UR controllers, registered as robot kind `ur`. Each controller drives an arm in
+    the cell's physics world.
+    """
 
     physics: Mapping[str, Any] = {}
 

@@ -59,8 +59,8 @@ class Plant(Protocol):
         ...
 
     def displace(self, q: ArrayLike) -> None:
-        """Move the joints of the UR plant to other positions at once,
-        as if a person had moved the arm by hand.
+        """Set the joint positions of the UR emulator's plant (simulated arm) at once, as if a person had
+        moved the arm by hand.
         """
         ...
 
@@ -90,8 +90,8 @@ class Plant(Protocol):
         ...
 
     def gripper(self) -> tuple[float, bool]:
-        """Return the opening of the UR plant's gripper (0..1 of the largest),
-        and whether the gripper holds an object.
+        """Return the gripper opening of the simulated UR arm as a fraction of the largest opening (0..1), and
+        whether the gripper holds an object.
         """
         ...
 
@@ -106,8 +106,8 @@ class Plant(Protocol):
 
 
 class KinematicPlant:
-    """Plant of a UR arm without physics, whose joints follow their
-    targets with the servo lag of a real UR.
+    """Plant (simulated arm) of the UR emulator without physics. Each joint follows its target with the servo
+    lag of a real UR.
     """
 
     def __init__(self, q: ArrayLike):
@@ -273,8 +273,8 @@ WORDS = "armcell fault payload <kg> | offset <0-5> <rad> | block <0-5> | arm non
 
 
 class FaultyPlant:
-    """Plant that wraps another emulated UR plant to inject faults.
-    Without a fault, it forwards every call.
+    """Wrapper that injects faults into the plant (simulated arm) of the UR emulator. Without a fault, it
+    forwards every call to the wrapped plant.
     """
 
     def __init__(self, plant: Plant):
@@ -293,7 +293,9 @@ class FaultyPlant:
         self._plant.command(q, v, *more)
 
     def offset(self, joint: int, angle: float) -> None:
-        """Inject a fault into the UR plant: a constant error [rad] in the commanded position of one joint."""
+        """Inject a fault into the plant (simulated arm) of the UR emulator: add a constant error [rad] to the
+        commanded position of one joint.
+        """
         self._offset[joint] = angle
 
     def block(self, joint: int) -> None:
@@ -319,8 +321,8 @@ class FaultyPlant:
 
 
 def set_fault(plant: Any, words: list[str]) -> Any:
-    """Inject the fault that a command describes into an emulated UR plant, and return the faulty plant.
-    For the command "arm none", return the original plant.
+    """Inject the fault that a command describes into the plant (simulated arm) of the UR emulator, and return
+    the plant with the fault. For the command "arm none", return the original plant.
 
     Raises:
         ValueError: the words name no fault.

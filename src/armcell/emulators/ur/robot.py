@@ -145,8 +145,8 @@ class Robot:
         self._expire_motion(motion)
 
     def _choose_motion(self) -> float:
-        """Replace the motion of the emulated UR robot with a stop if necessary. Return the time [s] by which
-        the motion advances in this step.
+        """Replace the motion of the emulated UR robot with a stop if necessary. Return the motion's time step
+        [s]: the control period scaled by the speed slider, or unscaled for a stop.
         """
         dt, s = self.period * self.scaling, self.setpoint
         if self.safety not in MAY_MOVE:

@@ -268,8 +268,8 @@ class RtdeServer:
         return bytes([number]) + ",".join(kinds).encode()
 
     def send_outputs(self) -> None:
-        """Send RTDE output variables of the emulated UR controller to all clients that are due.
-        Call this once per control step.
+        """Send RTDE output variables of the emulated UR controller to each client at the client's chosen
+        frequency. Call this method once per control step.
         """
         for link, client in list(self._clients.items()):
             if not link.open:

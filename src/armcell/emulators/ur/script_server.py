@@ -234,7 +234,9 @@ class ScriptServer:
             link.send(robot_messages.error_code(self._state.now_us, READ_ONLY_CODE, 0, level, why))
 
     def _announce(self, notice: Notice) -> None:
-        """Send a notice of the emulated UR robot to all clients on the primary port of the script server."""
+        """Send a message about an event of the emulated UR robot, such as a popup, to all clients of the
+        primary port.
+        """
         message = self._message(notice)
         for link, client in self._clients.items():
             if client.kind == PRIMARY:

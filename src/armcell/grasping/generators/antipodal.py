@@ -106,8 +106,8 @@ def _spread(pairs: list[Pair], before: list[Pair]) -> list[Pair]:
 
 
 def _places(pairs: list[Pair]) -> Array:
-    """Return one vector per contact pair of an antipodal grasp, as an array (n, 6): the midpoint in units of
-    20 mm, and the unit direction between the contacts.
+    """Return vectors (n, 6) for comparing contact pairs of antipodal grasps: the midpoint [m] divided by 0.02
+    m, then the unit direction between the contacts.
     """
     return np.array([np.concatenate([m / 0.02, c]) for m, c, _ in pairs]).reshape(-1, 6)
 

@@ -26,7 +26,9 @@ DEPTHS = (0.008, 0.02, 0.035)  # [m] depths of the TCP below the point
 
 @generators.register("cloud")
 def cloud_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
-    """Propose grasps for a point cloud with normals, each from a local frame at one of its points."""
+    """Propose grasps for a point cloud with normals. The surface normals around sampled points determine the
+    grasp poses.
+    """
     found, rng = Proposals(), np.random.default_rng(0)
     points, normals = surface.points, surface.normals
     for n, i in enumerate(_far_apart(points, SAMPLES, rng)):

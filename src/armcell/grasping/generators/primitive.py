@@ -48,8 +48,8 @@ def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _depth(half: float, hand: Hand) -> float:
-    """Return how far [m] the tcp of a grasp goes below the near face of a primitive.
-    The finger length limits this depth.
+    """Return the depth [m] of a grasp's TCP below the surface of a primitive, measured along the approach
+    direction. The finger length limits the depth.
 
     Without the limit, the tcp is at the object's center.
     """
@@ -57,7 +57,8 @@ def _depth(half: float, hand: Hand) -> float:
 
 
 def _along(half: float) -> list[tuple[float, str]]:
-    """Return offsets [m] for grasps along the side of a primitive, with suffixes for the names of the grasps.
+    """Return positions [m] for grasps along the side of a primitive, as offsets from its center, each with a
+    suffix for the name of the grasp.
 
     A long side has several offsets.
     """

@@ -125,8 +125,8 @@ class MoveController(IntEnum):
 
 
 class MoveGenerator(IntEnum):
-    """Motion generator in Franka's Move command. In the robot state message, the number of each generator is
-    higher by one.
+    """Motion generator in Franka's Move command. The robot state message encodes each generator as this
+    number plus 1.
     """
 
     JOINT_POSITION = 0

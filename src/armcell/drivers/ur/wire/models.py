@@ -77,8 +77,8 @@ class UrModel:
 
     @property
     def dashboard_name(self) -> str:
-        """Return the name of a UR model as the dashboard command `get robot model` reports it,
-        without the e of e-Series.
+        """Return the model name of a UR robot as the dashboard command `get robot model` reports it, without
+        the trailing e of e-Series names: UR5 for a UR5e.
         """
         return self.name.removesuffix("e")
 

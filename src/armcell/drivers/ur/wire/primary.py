@@ -168,8 +168,8 @@ def internal_packages() -> list[bytes]:
 
 
 def tool_extras(output_mode: int) -> list[bytes]:
-    """Return the packages for the tool of an e-Series arm in UR's primary interface:
-    serial communication and output modes.
+    """Encode the packages with the tool data of an e-Series arm (serial communication and output modes) for
+    the robot state message of UR's primary interface.
     """
     communication = struct.pack(">?iiiff", False, 115200, 0, 1, 1.5, 3.5)
     return [

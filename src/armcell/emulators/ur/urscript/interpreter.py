@@ -60,7 +60,9 @@ class Pose(Vec):
 
 
 def copy_value(value: Any) -> Any:
-    """Return the value that is stored when URScript assigns a value: lists and poses are copied."""
+    """Copy a value for assignment to a URScript variable. Lists and poses are copied; other values are
+    returned unchanged.
+    """
     if isinstance(value, Vec):
         return type(value)(copy_value(v) for v in value)
     return value
