@@ -127,7 +127,8 @@ def test_a_library_that_hangs_on_damaged_messages_is_replaced(host):
     with driver(host, backend="franky") as live:
         arm = franka(live)
         following = moving(live, arm)
-        operate(host, "fault garbage 100")
+        with suppress(OSError):  # its answer is garbled too
+            operate(host, "fault garbage 100")
         assert wait(following) not in ("done", "running")
         end = time.monotonic() + 20
         while live.fault() is not None and time.monotonic() < end:
