@@ -65,7 +65,10 @@ def emulators(*words: str, host: str):
 
 def operate(host: str, command: str) -> str:
     """Answer of the emulator's operator port."""
-    with socket.create_connection((host, OPERATOR), 5.0) as sock, sock.makefile("rw", errors="replace") as file:
+    with (
+        socket.create_connection((host, OPERATOR), 5.0) as sock,
+        sock.makefile("rw", errors="replace") as file,
+    ):
         file.write(command + "\n")
         file.flush()
         return file.readline().strip()
