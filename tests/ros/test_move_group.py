@@ -314,7 +314,7 @@ def test_a_cancelled_goal_is_preempted(bus):
 def test_a_goal_that_a_newer_one_replaces_says_so(bus):
     """Running or still waiting: its result never reads as a success."""
     with ActionClient(bus, "/move_group", "moveit_msgs/MoveGroup") as client:
-        slow = request(joint_goal({"panda_joint1": 1.5}), max_velocity_scaling_factor=0.02)
+        slow = request(joint_goal({"panda_joint1": 1.5}), max_velocity_scaling_factor=0.002)
         goals = [new("MoveGroupGoal", slow) for _ in range(3)]
         for goal in goals:
             goal.planning_options.planning_scene_diff.is_diff = True
