@@ -333,7 +333,7 @@ def test_run_while_the_arm_moves(tmp_path):
 @pytest.mark.parametrize("number", [TERM, INT])
 def test_serve_on_all_wires_while_the_arm_moves(number, graph, tmp_path):
     port = free_port()
-    wires = ("--unity", "--port", port, "--ros1", "--no-own-master", "--ros2", "--domain", 77)
+    wires = ("--unity", "--port", port, "--ros1", "--no-own-master", "--ros2", "--domain", 208)
     runs = tmp_path / "runs"
     with running("serve", "panda_pick", *wires, "--runs", runs, "__name:=cell_served") as command:
         command.until("ROS 2: node")

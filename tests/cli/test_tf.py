@@ -39,7 +39,7 @@ def ros2(bus, monkeypatch):
     tag = f"<CycloneDDS><Domain><Discovery><Tag>{uuid.uuid4().hex}</Tag></Discovery></Domain></CycloneDDS>"
     monkeypatch.setenv("CYCLONEDDS_URI", tag)
     with Ros2Bridge(bus, Ros2Settings(from_environment(7))):
-        yield "--ros2", "--domain", "7"
+        yield "--ros2", "--domain", "207"
 
 
 @pytest.mark.parametrize("wire", ["tcp", "ros1", "ros2"])

@@ -85,8 +85,8 @@ def test_the_script_lifts_the_cube_of_a_simulator_over_ros1(script, monkeypatch)
 def test_the_script_lifts_the_cube_of_a_simulator_over_ros2(script, monkeypatch):
     pytest.importorskip("cyclonedds")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    controller = start("run", script, "--cell", CELL, "--ros2", "--domain", "83", "--plan-only")
-    options = ("--ros2", "--domain", "83", "--time-scale", SLOW, "--auto-grip", "--no-record")
+    controller = start("run", script, "--cell", CELL, "--ros2", "--domain", "209", "--plan-only")
+    options = ("--ros2", "--domain", "209", "--time-scale", SLOW, "--auto-grip", "--no-record")
     simulator = start("sim", CELL, *options)
     try:
         check(finished(controller, 120))
