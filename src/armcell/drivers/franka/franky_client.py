@@ -188,7 +188,9 @@ class FrankyClient(FciClient):
                 pass
         except Exception:  # franky's exceptions have no common base class
             failed = True
-        mode = RobotMode(int(self._robot_api.state.robot_mode.value)) if self._alive else RobotMode.OTHER
+        mode = RobotMode.OTHER
+        with suppress(Exception):  # the connection is lost
+            mode = RobotMode(int(self._robot_api.state.robot_mode.value))
         self._motion = None
         if mode is RobotMode.USER_STOPPED:
             status = MoveStatus.EMERGENCY_ABORTED
