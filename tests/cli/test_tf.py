@@ -38,7 +38,7 @@ def ros1(bus, monkeypatch):
 def ros2(bus, monkeypatch):
     tag = f"<CycloneDDS><Domain><Discovery><Tag>{uuid.uuid4().hex}</Tag></Discovery></Domain></CycloneDDS>"
     monkeypatch.setenv("CYCLONEDDS_URI", tag)
-    with Ros2Bridge(bus, Ros2Settings(from_environment(7))):
+    with Ros2Bridge(bus, Ros2Settings(from_environment(207))):
         yield "--ros2", "--domain", "207"
 
 
