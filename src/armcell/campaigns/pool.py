@@ -32,6 +32,9 @@ GLANCE = 1.0  # [s] between two checks for timeouts
 
 Answer = dict[str, Any]
 """Message of a worker: first {"ready": true}, or {"cell": error} for an invalid cell; then trial rows."""
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
 
 
 class Worker(ABC):
@@ -201,11 +204,6 @@ class Pool(Generic[W]):
                     trial = worker.trial
                     self._replace(worker)
                     yield failed(trial, "TRIAL_TIMED_OUT", f"not over after {self.spec.trial_seconds:g} s")
-
-
-ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
 
 
 class ProcessWorker(Worker):

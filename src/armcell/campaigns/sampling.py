@@ -22,6 +22,7 @@ BLOCK = 100  # trials per Latin hypercube
 ROUND = 50  # trials per round of adaptive sampling, which reads the failures of earlier rounds
 NEAR = 0.5  # fraction of a round that is placed near failures
 SPREAD = 0.08  # standard deviation of samples near failures, as a fraction of the range
+KINDS = ("uniform", "whole", "log_uniform", "normal", "choice")
 
 
 def random_draw(seed: int, number: int, dimensions: int) -> Array:
@@ -133,9 +134,6 @@ def ends(found: Distribution) -> list[Any]:
     if isinstance(found, Choice):
         return list(found.values)
     return [found.at(u) for u in (0.0, 0.37, 0.5, 1.0 - 2.0**-53)]
-
-
-KINDS = ("uniform", "whole", "log_uniform", "normal", "choice")
 
 
 def distribution(data: Any, place: str) -> Distribution:

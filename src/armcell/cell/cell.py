@@ -36,6 +36,8 @@ from armcell.sim.gain_files import with_gains_file
 from armcell.sim.joint_gains import check_joint_gains
 from armcell.tasks import TaskSettings, make_stage
 
+T = TypeVar("T")
+
 
 def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbances:
     """Return the disturbances of the simulated robot that a cell file defines, in SI units.
@@ -106,9 +108,6 @@ def with_geometry(
         kind_of(arm).check_identity(group, arm, identity)
         model = kind_of(arm).calibrated(model, group, identity)
     return model
-
-
-T = TypeVar("T")
 
 
 class Cell:

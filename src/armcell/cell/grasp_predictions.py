@@ -41,6 +41,11 @@ from armcell.tasks.task import plan_stages
 
 POOL = 40  # distinct grasps to draw from
 IN_VAIN = 3  # draws per wanted trial: some grasps are unreachable
+Array = NDArray[np.float64]
+EDGES = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 1.0)  # edges of the bins of P in the reliability table
+LEAST = 1e-3  # the log loss clips probabilities to [LEAST, 1 - LEAST]
+RIDGE = 0.05  # ridge penalty: keeps the fit finite if epsilon separates successes from failures
+RESAMPLED = 2000  # bootstrap resamples of the objects for the interval of the lead
 
 
 @dataclass(frozen=True)
@@ -176,14 +181,6 @@ class _Hand:
         between = self._world.gripper_state(self._gripper.name).held == self._item
         reason = outcome.message or ("" if between else "nothing is between the fingers")
         return HoldResult(outcome.ok and between, slip, turn, reason)
-
-
-Array = NDArray[np.float64]
-
-EDGES = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 1.0)  # edges of the bins of P in the reliability table
-LEAST = 1e-3  # the log loss clips probabilities to [LEAST, 1 - LEAST]
-RIDGE = 0.05  # ridge penalty: keeps the fit finite if epsilon separates successes from failures
-RESAMPLED = 2000  # bootstrap resamples of the objects for the interval of the lead
 
 
 def scores(

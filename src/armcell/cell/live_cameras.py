@@ -28,6 +28,7 @@ Give = Callable[[CameraImage], None]
 MOST_KEPT = 64  # queued pictures of key moments
 GIVES_UP_AFTER = 3  # failures in a row
 CLOSE = 10.0  # [s] to draw the queued key moments when the cell closes
+TOO_LATE = 0.25  # [s] a picture that took longer is taken once more; the first of a process does
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +182,6 @@ class CellRenderer:
         logger.warning(
             "%s: no more pictures of this cell; motions go on (MUJOCO_GL=off draws without OpenGL)", reason
         )
-
-
-TOO_LATE = 0.25  # [s] a picture that took longer is taken once more; the first of a process does
 
 
 class LiveCamera:

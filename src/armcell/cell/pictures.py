@@ -29,6 +29,12 @@ Picture = NDArray[np.uint8]
 
 FROM = np.array([0.75, -0.6, 0.45])  # direction from the scene's center to the viewer
 FIELD = 45.0  # [deg]
+Array = NDArray[np.float64]
+Point = tuple[float, float]
+VIEW = np.array([1.0, 0.3, -0.25])  # direction from the hand to the viewer, tcp frame
+_GRIPPER_FIELD = 30.0  # [deg]
+SIZE = 480  # [px] width and height of one picture
+AXES = {"x": (220, 40, 40), "y": (30, 150, 30), "z": (40, 80, 230)}
 
 
 def overview(scene: PlanningScene) -> Camera:
@@ -99,13 +105,6 @@ class Pictures:
         pass
 
 
-Array = NDArray[np.float64]
-Point = tuple[float, float]
-
-VIEW = np.array([1.0, 0.3, -0.25])  # direction from the hand to the viewer, tcp frame
-_GRIPPER_FIELD = 30.0  # [deg]
-SIZE = 480  # [px] width and height of one picture
-AXES = {"x": (220, 40, 40), "y": (30, 150, 30), "z": (40, 80, 230)}
 PAD, CLOSING, TEXT = (245, 150, 20), (190, 20, 160), (20, 20, 20)
 
 

@@ -22,6 +22,11 @@ _OPTIONS = {
         help="Folder of a ROS package that a robot uses; may be repeated.",
     ),
 }
+SEED = typer.Option(
+    None, min=0, show_default=False,
+    help="Draw of the randomised values, and seed of the planners. Default: 0; in mode real things are where "
+    "the cell file says.",
+)  # fmt: skip
 
 
 def robot_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -49,13 +54,6 @@ def robot_options(command: Callable[..., Any]) -> Callable[..., Any]:
     )
     with_options.__annotations__ = {p.name: p.annotation for p in (*signature.parameters.values(), *more)}
     return with_options
-
-
-SEED = typer.Option(
-    None, min=0, show_default=False,
-    help="Draw of the randomised values, and seed of the planners. Default: 0; in mode real things are where "
-    "the cell file says.",
-)  # fmt: skip
 
 
 def seed_or_default(seed: int | None, mode: str) -> int | None:

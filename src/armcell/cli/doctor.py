@@ -24,6 +24,27 @@ from armcell.cli.console import console
 from armcell.core import ArmcellError, InputError
 
 OK, NO, NOTE = "ok", "no", "note"
+NEEDED = (
+    "coal", "example-robot-data", "lxml", "matplotlib", "mcap", "mujoco", "networkx", "numba", "numpy",
+    "ompl", "pillow", "pycollada", "pydantic", "pyyaml", "rich", "rosbags", "ruckig", "scipy", "trimesh",
+    "typer", "viser",
+)  # fmt: skip
+EXTRAS = {
+    "vision": ("opencv-python-headless",),
+    "ik": ("eaik",),
+    "ros2": ("cyclonedds",),
+    "trees": ("py_trees",),
+    "ray": ("ray",),
+    "ur-rtde": ("ur_rtde",),
+    "franka": ("franky-control",),
+}
+PORTS = {10000: "Unity (ROS-TCP)", 11311: "ROS 1 master", 8080: "viewer"}
+PATIENCE = 3.0  # [s] to connect
+JUMP = 0.05  # [rad or m] step of each joint's target, in turn
+TIME = 1.0  # [s] time to follow the step
+MOST_OFF = 0.2  # largest error at the end, as share of the step
+MOST_OVER = 0.5  # largest overshoot, as share of the step
+FINER = (0.005, 0.002, 0.001, 0.0005)  # [s] physics time steps to try if the cell's own fails
 
 
 @dataclass(frozen=True)
@@ -41,24 +62,6 @@ class Finding:
     found: str
 
 
-NEEDED = (
-    "coal", "example-robot-data", "lxml", "matplotlib", "mcap", "mujoco", "networkx", "numba", "numpy",
-    "ompl", "pillow", "pycollada", "pydantic", "pyyaml", "rich", "rosbags", "ruckig", "scipy", "trimesh",
-    "typer", "viser",
-)  # fmt: skip
-EXTRAS = {
-    "vision": ("opencv-python-headless",),
-    "ik": ("eaik",),
-    "ros2": ("cyclonedds",),
-    "trees": ("py_trees",),
-    "ray": ("ray",),
-    "ur-rtde": ("ur_rtde",),
-    "franka": ("franky-control",),
-}
-
-
-PORTS = {10000: "Unity (ROS-TCP)", 11311: "ROS 1 master", 8080: "viewer"}
-PATIENCE = 3.0  # [s] to connect
 STYLES = {OK: "[green]ok[/green]", NO: "[red]no[/red]", NOTE: "[yellow]--[/yellow]"}
 
 
@@ -302,13 +305,6 @@ def controllers(model: Any) -> Iterator[Finding]:
         yield Finding(
             NO, "controllers", "the robot has no arm: give it a planning group that is a chain (SRDF)"
         )
-
-
-JUMP = 0.05  # [rad or m] step of each joint's target, in turn
-TIME = 1.0  # [s] time to follow the step
-MOST_OFF = 0.2  # largest error at the end, as share of the step
-MOST_OVER = 0.5  # largest overshoot, as share of the step
-FINER = (0.005, 0.002, 0.001, 0.0005)  # [s] physics time steps to try if the cell's own fails
 
 
 def check_drives(loaded: Any) -> Iterator[Finding]:

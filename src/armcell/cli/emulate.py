@@ -12,6 +12,14 @@ import typer
 from armcell.cli.console import console, print_addresses
 from armcell.core.gc_pauses import gc_frozen
 
+EXAMPLES = """
+Examples:
+
+  armcell emulate panda_ur10e_handover --seed 1     a Panda's and a UR10e's controller in one physics world
+
+  armcell run panda_ur10e_handover --mode real --seed 1 --without-gate "emulator"    in another terminal
+"""
+
 
 def run_emulator(rack: Any, trace: IO[bytes] | None) -> None:
     """Run the emulators of controllers (UR, Franka) that a command has created, until a signal ends them.
@@ -30,15 +38,6 @@ def run_emulator(rack: Any, trace: IO[bytes] | None) -> None:
         rack.close()
         if trace is not None:
             trace.close()
-
-
-EXAMPLES = """
-Examples:
-
-  armcell emulate panda_ur10e_handover --seed 1     a Panda's and a UR10e's controller in one physics world
-
-  armcell run panda_ur10e_handover --mode real --seed 1 --without-gate "emulator"    in another terminal
-"""
 
 
 def emulate(

@@ -19,6 +19,9 @@ Examples:
 
   armcell run my_cell.yaml --mode real                       asks for it
 """
+WITHOUT_GATE = typer.Option(
+    None, metavar="REASON", help="For mode real, where clients lead the arms; the reason is recorded."
+)
 
 
 def gate(
@@ -87,11 +90,6 @@ def gate(
         console.print(f"varied: {', '.join(shown['varied'])}", markup=False, soft_wrap=True)
     console.print(f"gate record: {target}", soft_wrap=True)
     return 0
-
-
-WITHOUT_GATE = typer.Option(
-    None, metavar="REASON", help="For mode real, where clients lead the arms; the reason is recorded."
-)
 
 
 def check_gate(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:

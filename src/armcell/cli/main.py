@@ -49,25 +49,6 @@ from armcell.cli.console import err
 from armcell.cli.script import UnityCommand
 from armcell.core import ArmcellError
 
-
-class SectionedGroup(TyperGroup):
-    """Group of Typer commands whose `--help` lists each command under
-    the heading in its `rich_help_panel`.
-    """
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
-        shown = [(name, c) for name, c in commands if c is not None and not c.hidden]
-        room = formatter.width - 6 - max(len(name) for name, _ in shown)
-        headings: dict[str, list[tuple[str, str]]] = {}
-        for name, command in shown:
-            heading = getattr(command, "rich_help_panel", None) or "Commands"
-            headings.setdefault(heading, []).append((name, command.get_short_help_str(room)))
-        for heading, rows in headings.items():
-            with formatter.section(heading):
-                formatter.write_dl(rows)
-
-
 EXAMPLES = """
 Examples:
 
@@ -107,6 +88,25 @@ Examples:
 
   armcell doctor panda_pick                   what this machine lacks, and how to get it
 """
+
+
+class SectionedGroup(TyperGroup):
+    """Group of Typer commands whose `--help` lists each command under
+    the heading in its `rich_help_panel`.
+    """
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        shown = [(name, c) for name, c in commands if c is not None and not c.hidden]
+        room = formatter.width - 6 - max(len(name) for name, _ in shown)
+        headings: dict[str, list[tuple[str, str]]] = {}
+        for name, command in shown:
+            heading = getattr(command, "rich_help_panel", None) or "Commands"
+            headings.setdefault(heading, []).append((name, command.get_short_help_str(room)))
+        for heading, rows in headings.items():
+            with formatter.section(heading):
+                formatter.write_dl(rows)
+
 
 app = typer.Typer(
     name="armcell",

@@ -27,6 +27,7 @@ ALLOW_HOST = typer.Option(
     help="Further host name under which browsers may ask for the page, as behind a proxy; may be repeated.",
 )  # fmt: skip
 OPEN = typer.Option(False, "--open", help="Open the page in the browser.")
+FRAME = 1 / 30  # [s]
 
 
 class PageAddress(NamedTuple):
@@ -55,9 +56,6 @@ def serve_page(page: PageServer, open_browser: bool) -> NoReturn:
         webbrowser.open(page.url)
     while True:
         _interrupts.sleep(3600)
-
-
-FRAME = 1 / 30  # [s]
 
 
 def show(

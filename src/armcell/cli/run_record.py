@@ -27,6 +27,11 @@ from armcell.core import (
 )
 
 RATE = 5.0  # [Hz] of the cell's clock
+RECORD = typer.Option(
+    None, "--record/--no-record", show_default=False,
+    help="Keep all that happens in a run folder, as `armcell run` does. Default: in mode real.",
+)  # fmt: skip
+RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]")
 
 
 def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) -> list[CameraFrames]:
@@ -124,13 +129,6 @@ def write_result_files(recorder: Any, result: dict[str, Any], json_file: Path | 
             hint="the run itself ended as shown; make room, or choose another folder with --runs or --json",
         )  # fmt: skip
     return report
-
-
-RECORD = typer.Option(
-    None, "--record/--no-record", show_default=False,
-    help="Keep all that happens in a run folder, as `armcell run` does. Default: in mode real.",
-)  # fmt: skip
-RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]")
 
 
 def records_folder(record: bool | None, mode: str, runs: Path | None) -> Path | None:

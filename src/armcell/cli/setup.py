@@ -47,6 +47,30 @@ HELP = """The option --gripper states what setup does not recognize, as KEY=VALU
 Setup rejects facts that contradict the meshes, and proves the gripper by closing it on a cube in
 physics. On a terminal, setup asks for these words if it does not recognize a gripper.
 """
+EXAMPLES = f"""
+Examples:
+
+  armcell setup my_robot.urdf -o my_cell                one robot
+
+  armcell setup my_robot.urdf.xacro -o my_cell --web    look at it in the browser before it is written
+
+  armcell setup ur10.urdf ur10.urdf --prefix left_ --prefix right_ --at 0,0.6,0 --at 0,-0.6,0 -o two_arms
+
+  armcell setup my_robot.urdf -o my_cell --gripper "drive=finger_joint closes=upper"
+
+  armcell setup my_robot_moveit_config -o my_cell       a cell on a MoveIt package, its groups and pairs kept
+
+{HELP}
+The folder holds a MoveIt configuration package (config/), cell.yaml, and LAUNCH.md with the commands for
+users who go on in ROS 1 or ROS 2. What is found: arms are the longest
+rows of joints, grippers what branches off their ends; pairs of links need no check where they are joined,
+always touch or never do, by sampled states and proofs on the meshes. Each recognized gripper is shown as
+numbers and as a picture, open and closed (gripper.png). Then:
+
+  armcell check my_cell
+
+  armcell run my_cell
+"""
 
 
 def parse_gripper_facts(texts: list[str]) -> list[GripperSpec]:
@@ -154,32 +178,6 @@ def write_pictures(proposal: SetupProposal, folder: Path) -> None:
         else:
             console.print(f"picture: {file} (open and closed, with tcp frame, pads and closing direction)",
                           markup=False, soft_wrap=True)  # fmt: skip
-
-
-EXAMPLES = f"""
-Examples:
-
-  armcell setup my_robot.urdf -o my_cell                one robot
-
-  armcell setup my_robot.urdf.xacro -o my_cell --web    look at it in the browser before it is written
-
-  armcell setup ur10.urdf ur10.urdf --prefix left_ --prefix right_ --at 0,0.6,0 --at 0,-0.6,0 -o two_arms
-
-  armcell setup my_robot.urdf -o my_cell --gripper "drive=finger_joint closes=upper"
-
-  armcell setup my_robot_moveit_config -o my_cell       a cell on a MoveIt package, its groups and pairs kept
-
-{HELP}
-The folder holds a MoveIt configuration package (config/), cell.yaml, and LAUNCH.md with the commands for
-users who go on in ROS 1 or ROS 2. What is found: arms are the longest
-rows of joints, grippers what branches off their ends; pairs of links need no check where they are joined,
-always touch or never do, by sampled states and proofs on the meshes. Each recognized gripper is shown as
-numbers and as a picture, open and closed (gripper.png). Then:
-
-  armcell check my_cell
-
-  armcell run my_cell
-"""
 
 
 def setup(

@@ -19,6 +19,12 @@ from armcell.cli.serve import address
 from armcell.core import InputError, UnknownNameError
 
 _SETTLE = 3.0  # [s] for subscribers to connect and to receive the messages
+app = typer.Typer(help="Topics of a running endpoint: list, echo, hz, pub.", no_args_is_help=True)
+CONNECT = typer.Option("127.0.0.1:10000", metavar="HOST:PORT", help="The ROS-TCP endpoint.")
+ROS1 = typer.Option(False, "--ros1", help="In the ROS 1 graph at ROS_MASTER_URI instead.")
+TYPE = typer.Option(None, "--type", metavar="TYPE", help="Where the endpoint does not know the topic.")
+COUNT = typer.Option(None, "--count", "-n", min=1, help="End after so many messages.")
+WAIT = 3.0  # [s] timeout to connect and to list the topics
 
 
 class GraphClient:
@@ -72,14 +78,6 @@ def graph_connection() -> Iterator[tuple[Any, GraphClient]]:
     bus = Bus()
     with Ros1Graph(bus, from_environment(f"armcell_topic_{os.getpid()}", own_master=False)) as graph:
         yield bus, GraphClient(bus, graph)
-
-
-app = typer.Typer(help="Topics of a running endpoint: list, echo, hz, pub.", no_args_is_help=True)
-CONNECT = typer.Option("127.0.0.1:10000", metavar="HOST:PORT", help="The ROS-TCP endpoint.")
-ROS1 = typer.Option(False, "--ros1", help="In the ROS 1 graph at ROS_MASTER_URI instead.")
-TYPE = typer.Option(None, "--type", metavar="TYPE", help="Where the endpoint does not know the topic.")
-COUNT = typer.Option(None, "--count", "-n", min=1, help="End after so many messages.")
-WAIT = 3.0  # [s] timeout to connect and to list the topics
 
 
 @app.command("list")

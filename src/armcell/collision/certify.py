@@ -20,6 +20,10 @@ from armcell.kinematics import KinematicTree
 from armcell.kinematics.tree import FIXED, PRISMATIC, REVOLUTE
 from armcell.model import RobotModel
 
+Array = NDArray[np.float64]
+MIN_INTERVAL_RAD = 2e-4
+"""[rad] Smallest interval of the bisection; a pair that is still uncertified there counts as touching."""
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -36,12 +40,6 @@ class Certificate:
     at: float = 1.0
     contact: Contact | None = None
     clearance: float = np.inf
-
-
-Array = NDArray[np.float64]
-
-MIN_INTERVAL_RAD = 2e-4
-"""[rad] Smallest interval of the bisection; a pair that is still uncertified there counts as touching."""
 
 
 class DistanceChecker(Protocol):

@@ -35,6 +35,10 @@ Index = NDArray[np.intp]
 
 CHUNK = 512
 """Number of neighboring parts that share a bounding box for the broad phase."""
+CONVEX_EXCESS = 1e-3
+CONVEX_DENT = 2e-4
+"""A closed mesh is replaced by its convex hull if the hull's volume exceeds the mesh's by at most the
+fraction `CONVEX_EXCESS` and no vertex is deeper than `CONVEX_DENT` [m] inside the hull."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,12 +192,6 @@ def _halved(centers: F64) -> Index:
         order = np.argpartition(centers[index, axis], half)
         left += [index[order[half:]], index[order[:half]]]
     return np.concatenate([np.zeros(0, np.intp), *done])
-
-
-CONVEX_EXCESS = 1e-3
-CONVEX_DENT = 2e-4
-"""A closed mesh is replaced by its convex hull if the hull's volume exceeds the mesh's by at most the
-fraction `CONVEX_EXCESS` and no vertex is deeper than `CONVEX_DENT` [m] inside the hull."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,15 @@ from armcell.timing.chords import acceleration_bounds, positions_at
 
 F64 = NDArray[np.float64]
 Solids = tuple[tuple[Shape, SE3], ...]
+ERRORS = (5e-4, 5e-5)
+"""[rad or m] Approximate largest deviations of a joint from the piecewise linear path to certify, in order of
+use: the finer path is used only if the coarse path cannot be certified."""
+DISPLACED = 4e-3
+"""[m] Largest displacement of bodies from the planned scene for which a motion is certified in the planned
+scene; smaller than the padding of planners."""
+LONGEST = 0.05  # [s] longest piece of the path, so also the precision of the reported contact time
+SAMPLES = 0.01  # [s] time between the samples among which `elapsed_at` searches the nearest state
+SAME = 2e-3  # [rad or m] samples that exceed the smallest distance by at most this count as equally near
 
 
 def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> float:
@@ -125,19 +134,6 @@ def _radius(shapes: Solids) -> float:
         center, half = local_bounds(shape)
         reach = max(reach, float(np.linalg.norm(T.apply(center)) + np.linalg.norm(half)))
     return reach
-
-
-ERRORS = (5e-4, 5e-5)
-"""[rad or m] Approximate largest deviations of a joint from the piecewise linear path to certify, in order of
-use: the finer path is used only if the coarse path cannot be certified."""
-
-DISPLACED = 4e-3
-"""[m] Largest displacement of bodies from the planned scene for which a motion is certified in the planned
-scene; smaller than the padding of planners."""
-
-LONGEST = 0.05  # [s] longest piece of the path, so also the precision of the reported contact time
-SAMPLES = 0.01  # [s] time between the samples among which `elapsed_at` searches the nearest state
-SAME = 2e-3  # [rad or m] samples that exceed the smallest distance by at most this count as equally near
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,10 @@ _FRACTIONS = (0.5,)  # of the extent along each axis: the other candidate planes
 _ON_PLANE = 1e-8  # [m]
 _INWARD = 1e-6  # [m]
 _FLAT = np.deg2rad(1.0)  # a smaller reflex angle counts as flat
+log = logging.getLogger(__name__)
+CONVEX = 0.998  # a mesh that fills more than this fraction of its hull's volume counts as convex
+SMALLEST = 1e-11  # [m^3] smaller pieces are left out; MuJoCo rejects meshes without volume
+VERSION = 3  # increase when the same mesh yields different pieces, to invalidate the disk cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,13 +343,6 @@ def clip(triangles: Array, plane: Array) -> tuple[Array, Array]:
             parts.append(np.stack([p, pq, pr], 1))
             rims.append(np.stack([pq, pr], 1))
     return np.concatenate(parts), np.concatenate(rims)
-
-
-log = logging.getLogger(__name__)
-
-CONVEX = 0.998  # a mesh that fills more than this fraction of its hull's volume counts as convex
-SMALLEST = 1e-11  # [m^3] smaller pieces are left out; MuJoCo rejects meshes without volume
-VERSION = 3  # increase when the same mesh yields different pieces, to invalidate the disk cache
 
 
 @lru_cache(maxsize=256)

@@ -36,6 +36,17 @@ I64 = NDArray[np.int64]
 Masks = NDArray[np.uint16]
 
 CHUNK = 4096  # samples between two calls of `progress`
+Array = NDArray[np.float64]
+Progress = Callable[[int], None]
+NEAR_DISTANCE = 0.03  # [m] samples with a smaller distance are start states of the search for contact
+RARE = 2000  # with more contact samples of the (larger) kernel solids, the meshes certainly touch, too
+ALWAYS_SAMPLES = 2000  # samples in which the meshes must touch before a pair counts as always in contact
+FIRST = 16384  # samples of all pairs; further samples are only for pairs that touch in few of these
+OFTEN = 0.02  # fraction of contact samples above which more samples cannot change the result
+MOSTLY = 0.95
+"""Fraction of contact samples from which MoveIt treats a pair as always in collision. A pair that touches in
+this many states, but not in all, indicates faulty meshes; checking the pair would leave hardly any
+collision-free state."""
 
 
 @njit(cache=True, nogil=True)
@@ -110,19 +121,7 @@ class PairSampler:
         return found
 
 
-Array = NDArray[np.float64]
-Progress = Callable[[int], None]
-
-NEAR_DISTANCE = 0.03  # [m] samples with a smaller distance are start states of the search for contact
 STARTS, STEPS = 6, 120  # start states of the search per pair, and steps per start state
-RARE = 2000  # with more contact samples of the (larger) kernel solids, the meshes certainly touch, too
-ALWAYS_SAMPLES = 2000  # samples in which the meshes must touch before a pair counts as always in contact
-FIRST = 16384  # samples of all pairs; further samples are only for pairs that touch in few of these
-OFTEN = 0.02  # fraction of contact samples above which more samples cannot change the result
-MOSTLY = 0.95
-"""Fraction of contact samples from which MoveIt treats a pair as always in collision. A pair that touches in
-this many states, but not in all, indicates faulty meshes; checking the pair would leave hardly any
-collision-free state."""
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,13 @@ from armcell.core.checks import checked, float_array
 from armcell.core.errors import InputError
 
 F64 = NDArray[np.float64]
+PLANE_EXTENT_M = 100.0
+"""Extent of a plane in images and bounding boxes [m]; contacts use the infinite half space."""
+LARGEST_M = 1e6
+"""Largest size of a shape [m]. Volumes and inertias of much larger shapes overflow."""
+Ints = NDArray[np.int64]
+SAME = 1e-8  # [m] grid on which vertices count as one
+LARGEST_HOLES = 0.05  # of the mesh's area: larger holes are openings of a surface, not defects
 
 
 def finite_points(points: ArrayLike) -> tuple[F64, int]:
@@ -147,13 +154,6 @@ def _bounds(rows: F64, half: F64 | float) -> tuple[F64, F64]:
     if isinstance(half, np.ndarray):
         half = half.T
     return (columns - half).min(axis=1), (columns + half).max(axis=1)
-
-
-PLANE_EXTENT_M = 100.0
-"""Extent of a plane in images and bounding boxes [m]; contacts use the infinite half space."""
-
-LARGEST_M = 1e6
-"""Largest size of a shape [m]. Volumes and inertias of much larger shapes overflow."""
 
 
 def _positive(what: str, **sizes: float) -> None:
@@ -332,12 +332,6 @@ def local_bounds(shape: Shape) -> tuple[F64, F64]:
     if isinstance(shape, Plane):  # everything below z = 0
         return np.array([0.0, 0.0, -PLANE_EXTENT_M]), shape.half_extents
     return np.zeros(3), shape.half_extents
-
-
-Ints = NDArray[np.int64]
-
-SAME = 1e-8  # [m] grid on which vertices count as one
-LARGEST_HOLES = 0.05  # of the mesh's area: larger holes are openings of a surface, not defects
 
 
 @lru_cache(maxsize=256)

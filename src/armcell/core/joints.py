@@ -19,6 +19,7 @@ from armcell.core.errors import InputError, UnknownNameError
 
 F64 = NDArray[np.float64]
 Names = tuple[str, ...]
+T = TypeVar("T", float, F64)
 
 
 def _columns(have: Names, want: Iterable[str]) -> list[int]:
@@ -275,9 +276,6 @@ class JointTrajectory:
             v0 + s * (a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5))),
             a0 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5)),
         )
-
-
-T = TypeVar("T", float, F64)
 
 
 class Playback:

@@ -12,6 +12,9 @@ from armcell.core.joints import JointState
 from armcell.core.transforms import SE3, SO3
 
 WORLD = "world"
+Corner = tuple[float, float, float]
+ADAPTERS = ("fix_start_state_bounds", "resolve_constraint_frames", "timing", "validation")
+"""Default processing steps before and after the planner, like MoveIt's request adapters."""
 
 
 @dataclass(frozen=True)
@@ -142,11 +145,7 @@ class ConstraintGoal:
     constraints: Constraints
 
 
-Corner = tuple[float, float, float]
 Goal = JointGoal | PoseGoal | NamedGoal | ConstraintGoal
-
-ADAPTERS = ("fix_start_state_bounds", "resolve_constraint_frames", "timing", "validation")
-"""Default processing steps before and after the planner, like MoveIt's request adapters."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,11 @@ from armcell.core.errors import ErrorCode
 from armcell.core.joints import JointPath, JointState, JointTrajectory
 from armcell.core.transforms import SE3, SO3
 
+Change = Callable[..., tuple[Any, Any]]
+"""Function that applies a suggestion: (scene, request, **arguments) -> (scene, request)."""
+TRIED = {True: "", None: " (not tried)", False: " (needed, but not enough alone)"}
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Contact:
@@ -32,13 +37,6 @@ class Contact:
         if self.distance <= 0:
             return f"{self.body_a} touches {self.body_b} ({-self.distance * 1000:.1f} mm deep)"
         return f"{self.body_a} is {self.distance * 1000:.1f} mm from {self.body_b}"
-
-
-Change = Callable[..., tuple[Any, Any]]
-"""Function that applies a suggestion: (scene, request, **arguments) -> (scene, request)."""
-
-
-TRIED = {True: "", None: " (not tried)", False: " (needed, but not enough alone)"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +151,6 @@ def to_json_types(value: Any) -> Any:
 
 def _items(value: Iterable[Any] | NDArray[Any]) -> list[Any]:
     return value.tolist() if isinstance(value, np.ndarray) else list(value)
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from armcell.core import SE3, ErrorCode, InputError, JointState, JointTrajectory
 from armcell.drivers.execution_handle import ExecutionHandle, SetpointHistory
 
 log = logging.getLogger(__name__)
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -140,9 +141,6 @@ class Supervisor:
             if self.tripped is not None:
                 self.record(self.tripped.arm, "resumed", f"after {self.tripped.kind}")
             self.tripped = None
-
-
-Array = NDArray[np.float64]
 
 
 class ExecutionMonitor(Protocol):

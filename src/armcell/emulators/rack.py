@@ -22,6 +22,8 @@ from armcell.sim import PhysicsSettings, SimWorld
 IDLE = 1.0  # [s] without a client before a run counts as ended
 TIE = 1e-4  # [s] steps that are due within this time of each other may run in either order
 MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger delay is lost
+emulated_kinds: Registry[EmulatedKind] = Registry("emulated kind of robot", "armcell.emulators")
+"""Emulated robot kinds by the name that a cell file states in `real: {kind: ...}`."""
 
 
 class EmulatedController(Protocol):
@@ -256,10 +258,6 @@ class EmulatedKind(Protocol):
             say: receives a line for each event that the operator would see.
         """
         ...
-
-
-emulated_kinds: Registry[EmulatedKind] = Registry("emulated kind of robot", "armcell.emulators")
-"""Emulated robot kinds by the name that a cell file states in `real: {kind: ...}`."""
 
 
 def cell_rack(

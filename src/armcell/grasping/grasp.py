@@ -18,6 +18,16 @@ from armcell.model import Gripper
 from armcell.scene import CollisionObject
 
 F64 = NDArray[np.float64]
+FAILED = (  # by the number of checks that a rejected candidate passed
+    "have nothing between the pads",
+    "are too wide",
+    "let the hand touch the object or its support",
+    "slip off",
+    "need more force",
+)
+SAFETY = 3.0
+MIN_FORCE = 5.0  # [N] per finger
+LIFT_ACCELERATION = 3.0  # [m/s^2] assumed acceleration of the held object, in addition to gravity
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +49,6 @@ class PadContact:
         return PadContact(row[:3].copy(), row[3:6].copy(), float(row[7]))
 
 
-FAILED = (  # by the number of checks that a rejected candidate passed
-    "have nothing between the pads",
-    "are too wide",
-    "let the hand touch the object or its support",
-    "slip off",
-    "need more force",
-)
 APPROACH, SHORTEST_APPROACH = 0.10, 0.03  # [m] desired and minimum
 
 
@@ -108,11 +111,6 @@ def rejection_sort_key(rejection: Rejection) -> tuple[int, float]:
     of checks, the candidate that missed the next limit by less comes first.
     """
     return -rejection.passed, rejection.excess
-
-
-SAFETY = 3.0
-MIN_FORCE = 5.0  # [N] per finger
-LIFT_ACCELERATION = 3.0  # [m/s^2] assumed acceleration of the held object, in addition to gravity
 
 
 def holding_factor(friction: float, torsional_friction: float, lever: F64, patch: F64) -> F64:

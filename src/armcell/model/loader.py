@@ -29,6 +29,26 @@ from armcell.model.urdf import load_urdf
 
 LIBRARY = Path(__file__).parent / "library"
 ROBOT_FILE = "robot.yaml"
+XacroArgs = Mapping[str, str] | None
+_SOURCES = ("urdf", "mjcf", "parts")
+_KEYS = {
+    "name",
+    "source",
+    *_SOURCES,
+    "root",
+    "srdf",
+    "joint_limits",
+    "ik_solvers",
+    "grippers",
+    "frames",
+    "groups",
+    "states",
+    "xacro_args",
+    "description",
+}
+_around: ContextVar[tuple[Path, ...]] = ContextVar("robot files whose parts are being loaded", default=())
+KINDS: dict[str, type[Gripper]] = {"jaws": Gripper, "suction": SuctionGripper}
+_NO_SUCTION = {f.name for f in fields(Gripper)} - {"arm_group", "group", "tcp_link", "hand_links"}
 
 
 @dataclass(frozen=True)
@@ -82,26 +102,6 @@ def known_robot(name: str) -> KnownRobot:
         except InputError:
             pass
     return KnownRobot(name, *about, package)
-
-
-XacroArgs = Mapping[str, str] | None
-_SOURCES = ("urdf", "mjcf", "parts")
-_KEYS = {
-    "name",
-    "source",
-    *_SOURCES,
-    "root",
-    "srdf",
-    "joint_limits",
-    "ik_solvers",
-    "grippers",
-    "frames",
-    "groups",
-    "states",
-    "xacro_args",
-    "description",
-}
-_around: ContextVar[tuple[Path, ...]] = ContextVar("robot files whose parts are being loaded", default=())
 
 
 def load_robot(
@@ -353,10 +353,6 @@ def _curve(rows: Any, where: dict[str, Any]) -> tuple[tuple[float, ...], ...]:
     if np.any(steps[:, 1] <= 0) or not (np.all(steps[:, 0] > 0) or np.all(steps[:, 0] < 0)):
         raise InputError("curve must go from closed to open: the width grows in every row", **where)
     return tuple(tuple(row) for row in table.tolist())
-
-
-KINDS: dict[str, type[Gripper]] = {"jaws": Gripper, "suction": SuctionGripper}
-_NO_SUCTION = {f.name for f in fields(Gripper)} - {"arm_group", "group", "tcp_link", "hand_links"}
 
 
 def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:

@@ -20,6 +20,7 @@ from armcell.model.untrusted_files import parse_xml, read_text
 from armcell.model.urdf_writer import xml_text
 
 logger = logging.getLogger(__name__)
+Attributes = tuple[tuple[str, str], ...]
 
 
 def with_srdf(model: RobotModel, path: Path) -> RobotModel:
@@ -259,9 +260,6 @@ def _mapping(value: Any, file: Path, element: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise InputError("is not a mapping", file=file, element=element)
     return value
-
-
-Attributes = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)

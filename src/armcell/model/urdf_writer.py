@@ -21,6 +21,9 @@ from armcell.model.robot import Joint, Link, RobotModel
 from armcell.model.untrusted_files import parse_xml
 from armcell.model.urdf import urdf_text
 
+NOWHERE = Path("/")
+"""A search folder without robot descriptions, so that only installed packages are found."""
+
 
 def urdf_of(model: RobotModel) -> str:
     """Return URDF text for a robot model: its links with visuals and inertia, and its joints with limits.
@@ -108,10 +111,6 @@ def _number(value: float) -> str:
 
 def _numbers(values: Iterable[float]) -> str:
     return " ".join(_number(v) for v in values)
-
-
-NOWHERE = Path("/")
-"""A search folder without robot descriptions, so that only installed packages are found."""
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,12 @@ MODULES = {
     )},
 }  # fmt: skip
 PREFERRED = ("geometry_msgs", "moveit_msgs", "sensor_msgs", "trajectory_msgs", "std_msgs", "control_msgs")
+UPWARD = np.cos(np.deg2rad(60.0))  # least cosine between the z axes of tool and world for "points up"
+AHEAD = 0.25  # [m] distance along the tool within which an object counts as the intended one
+ASIDE = 0.03  # [m] largest distance of the intended object from the tool's axis
+SAME = 0.04  # [m] difference of object and flange distances that indicates poses of the flange
+TURNED = SO3.from_rpy((np.pi, 0.0, 0.0))
+DOWN = "quaternion_from_euler(math.pi, 0, yaw) points it down"
 
 
 def missing_import(name: str, schema: Schema) -> str:
@@ -58,14 +64,6 @@ def missing_import(name: str, schema: Schema) -> str:
             package = min(found, key=lambda p: PREFERRED.index(p) if p in PREFERRED else len(PREFERRED))
             return f"from {package}.{kind} import {name}"
     return ""
-
-
-UPWARD = np.cos(np.deg2rad(60.0))  # least cosine between the z axes of tool and world for "points up"
-AHEAD = 0.25  # [m] distance along the tool within which an object counts as the intended one
-ASIDE = 0.03  # [m] largest distance of the intended object from the tool's axis
-SAME = 0.04  # [m] difference of object and flange distances that indicates poses of the flange
-TURNED = SO3.from_rpy((np.pi, 0.0, 0.0))
-DOWN = "quaternion_from_euler(math.pi, 0, yaw) points it down"
 
 
 def unreached_pose(scene: PlanningScene, group: str, link: str, target: SE3) -> str:

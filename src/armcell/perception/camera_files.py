@@ -20,6 +20,10 @@ from armcell.core import SE3, CameraImage, InputError, Pinhole
 from armcell.model.untrusted_files import read_yaml
 
 MODELS = ("plumb_bob", "")
+F64 = NDArray[np.float64]
+MAX_BYTES = 200_000_000
+POSE = "camera_pose"
+_SPLAT = 400  # [px] longer side of an image rendered from a point cloud
 
 
 @dataclass(frozen=True)
@@ -137,12 +141,6 @@ def rectified(image: CameraImage) -> CameraImage:
         rgb[inside] = np.rint(mixed).astype(np.uint8)
     plain = Pinhole(p.width, p.height, p.fx, p.fy, p.cx, p.cy)
     return CameraImage(image.camera, plain, image.T_world_camera, image.time, rgb, depth)
-
-
-F64 = NDArray[np.float64]
-MAX_BYTES = 200_000_000
-POSE = "camera_pose"
-_SPLAT = 400  # [px] longer side of an image rendered from a point cloud
 
 
 def save_image(path: str | Path, image: CameraImage) -> list[Path]:

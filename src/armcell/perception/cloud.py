@@ -16,6 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.core import SE3, SO3, CameraImage, ErrorCode, InputError, Outcome, Pinhole
 from armcell.core.checks import float_array, is_number, require
 
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+MAX_TRIALS = 100_000
+_SUBSET = 1500  # number of points with which trials are evaluated
+
 
 def check_image_age(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
     """Return an error outcome if a camera image is older than `max_age` [s] and must not be used.
@@ -54,10 +59,6 @@ def check_image(image: CameraImage, max_age: float, now: float | None) -> Outcom
             {"share": share},
         )
     return None
-
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 
 def meters(depth: ArrayLike) -> F32:
@@ -143,10 +144,6 @@ def _labels(points, wanted, gap):
             if wanted[v, u]:
                 out[v, u] = _root(parent, v * w + u)
     return out
-
-
-MAX_TRIALS = 100_000
-_SUBSET = 1500  # number of points with which trials are evaluated
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,8 @@ from armcell.model.untrusted_files import read_yaml
 from armcell.perception.cloud import check_image, organized_cloud
 from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, SensorModel, with_octomap
 
+RESOLUTION = 0.05  # [m] default of the file's value
+
 
 @dataclass(frozen=True)
 @checked()
@@ -130,7 +132,6 @@ def _without_speckle(mask: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     return mask & (np.bincount(patches.ravel())[patches] >= least)
 
 
-RESOLUTION = 0.05  # [m] default of the file's value
 CLOUD, DEPTH = "PointCloudOctomapUpdater", "DepthImageOctomapUpdater"
 
 

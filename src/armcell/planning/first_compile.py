@@ -27,6 +27,10 @@ from armcell.planning.planners.rrt_connect import NativePlanner
 from armcell.scene import PlanningScene
 from armcell.timing import BlendedPath, parameterize
 
+Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
+BOUNDS = np.array([0.0]), np.array([0.05])  # joint limits of the gripper in the warm-up problem
+
 
 @contextmanager
 def in_another_process(*statements: str) -> Iterator[None]:
@@ -76,14 +80,6 @@ def progress_line(text: str) -> Iterator[None]:
     finally:
         done.set()
         thread.join()
-
-
-Array = NDArray[np.float64]
-
-logger = logging.getLogger(__name__)
-
-
-BOUNDS = np.array([0.0]), np.array([0.05])  # joint limits of the gripper in the warm-up problem
 
 
 def prepare_group(scene: PlanningScene, group: str) -> None:

@@ -44,6 +44,18 @@ from armcell.kinematics import kinematic_tree
 from armcell.records.write_behind import WriteBehindFile
 from armcell.scene import WORLD, CollisionObject, PlanningScene
 
+Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
+PROFILE = "ros2"
+STORE = Stores.ROS2_HUMBLE
+NANO = 1_000_000_000
+_CHUNK_BYTES = 128 * 1024  # maximum data loss of a killed process: about half a second
+_LATCHED_QOS = (
+    # transient local: delivered to late subscribers
+    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"
+)
+_MAX_URDF_BYTES = 4_000_000
+
 
 def pose_data(T: SE3) -> dict[str, Any]:
     return {"xyz": T.translation.tolist(), "quat_xyzw": T.quat_xyzw.tolist()}
@@ -91,19 +103,7 @@ def _shape_of(data: dict[str, Any]) -> Shape | None:
     return next((make_shape(name, sizes) for name, sizes in data.items() if name in shapes), None)
 
 
-Array = NDArray[np.float64]
-logger = logging.getLogger(__name__)
-
-PROFILE = "ros2"
-STORE = Stores.ROS2_HUMBLE
-NANO = 1_000_000_000
 ABOUT, RESULT = "armcell.run", "armcell.result"
-_CHUNK_BYTES = 128 * 1024  # maximum data loss of a killed process: about half a second
-_LATCHED_QOS = (
-    # transient local: delivered to late subscribers
-    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"
-)
-_MAX_URDF_BYTES = 4_000_000
 
 
 @cache

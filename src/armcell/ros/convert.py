@@ -19,6 +19,7 @@ from armcell.timing import with_start_state
 TURN = 2 * np.pi + 0.1  # [rad] a larger angle is suspicious
 MANY = 5.0  # a prismatic joint's value beyond this multiple of its limit is suspicious
 FAR = 100.0  # [m] maximum distance from the origin: no work cell is larger
+TIME_GAP = 1e-9  # [s] points less than a nanosecond apart count as simultaneous
 
 
 def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[float]) -> str | None:
@@ -54,9 +55,6 @@ def check_in_meters(T: SE3) -> None:
     distance = float(np.linalg.norm(T.translation))
     if distance > FAR:
         raise InputError(f"it is {distance:.4g} m away", hint="in millimeters? ROS has meters")
-
-
-TIME_GAP = 1e-9  # [s] points less than a nanosecond apart count as simultaneous
 
 
 def joint_state_message(schema: Schema, header: Any, state: JointState) -> Any:

@@ -17,6 +17,7 @@ SOURCE = "armcell"  # moveit_msgs/MoveItErrorCodes.source
 ERROR_CODES = "moveit_msgs/MoveItErrorCodes"
 INVALID_GOAL = -1  # control_msgs/FollowJointTrajectoryResult: ros2_control's code for a replaced goal
 TEXT_FIELDS = ("error_string", "message", "status_message", "reason")
+MORE = "more"  # the shared kind for every new fault beyond the limit
 
 
 def write_failure(answer: Any, text: str, code: ErrorCode = ErrorCode.FAILURE) -> Any:
@@ -50,9 +51,6 @@ def write_failure(answer: Any, text: str, code: ErrorCode = ErrorCode.FAILURE) -
 
 def _longer(said: str, text: str) -> str:
     return text if said in text else said
-
-
-MORE = "more"  # the shared kind for every new fault beyond the limit
 
 
 class FaultCounter:

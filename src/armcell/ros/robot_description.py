@@ -16,6 +16,7 @@ from armcell.ros.bus import Bus, Publisher
 
 TOPICS = ("/robot_description", "/robot_description_semantic")
 TYPE = "std_msgs/String"
+NAME = "/robot_description"
 
 
 class RobotDescriptionPublisher:
@@ -47,9 +48,6 @@ class RobotDescriptionPublisher:
     def close(self) -> None:
         for publisher in self._publishers.values():
             publisher.close()
-
-
-NAME = "/robot_description"
 
 
 def publish_robot_description(bus: Bus, model: RobotModel) -> RobotDescriptionPublisher:

@@ -39,6 +39,7 @@ DEFAULT_DENSITY = 600.0
 
 CLOUDS_STAND = "point clouds and octrees are obstacles that stand in the world; they cannot move or be held"
 USE_A_SOLID = "describe what moves by solids or a mesh"
+F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -269,9 +270,6 @@ def shape_volume(shape: Shape) -> float:
             return float(len(shape.points) * 4 / 3 * np.pi * shape.radius**3)
         case Plane():
             return 0.0
-
-
-F64 = NDArray[np.float64]
 
 
 def _unit_inertia(shape: Shape) -> tuple[F64, F64]:

@@ -20,6 +20,9 @@ DEPTH = 16
 FULL, BINARY = b"# Octomap OcTree file", b"# Octomap OcTree binary file"
 COLOR_BYTES = {"OcTree": 0, "OcTreeStamped": 0, "ColorOcTree": 3}
 MORE, TRUNCATED, TOO_DEEP = 0, 1, 2
+I64 = NDArray[np.int64]
+OFF = 1e-3  # [voxels] tolerance for a cell to count as on the grid
+MOST = 20_000_000  # maximum number of voxels that replace cells off the grid
 
 
 def load_octree(path: str | Path) -> Octree:
@@ -177,10 +180,6 @@ def _read_full(data, width):
     return at, MORE, keys[:n], depths[:n]
 
 
-I64 = NDArray[np.int64]
-
-OFF = 1e-3  # [voxels] tolerance for a cell to count as on the grid
-MOST = 20_000_000  # maximum number of voxels that replace cells off the grid
 LEAF, INNER = 2, 3  # the two bits that encode a child node, as a little-endian number
 
 

@@ -28,6 +28,7 @@ F64 = NDArray[np.float64]
 MAX_BYTES = 1_000_000_000
 MAX_POINTS = 50_000_000
 OCTREES = (".bt", ".ot", ".npz")
+_KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
 def load_obstacle(path: str | Path, radius: float | None = None) -> PointCloud | Octree:
@@ -156,9 +157,6 @@ def _ply(data: bytes, file: Path) -> F64:
     if len(points) != count:
         raise InputError(f"PLY header announces {count} points, the file has {len(points)}", file=file)
     return points
-
-
-_KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
 def _pcd(data: bytes, file: Path) -> F64:

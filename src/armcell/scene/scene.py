@@ -22,6 +22,10 @@ from armcell.scene.objects import CLOUDS_STAND, USE_A_SOLID, CollisionObject
 if TYPE_CHECKING:
     from armcell.scene.diff import SceneDiff
 
+Array = NDArray[np.float64]
+WORLD = "world"
+LARGE = 2.0  # [m] an object that extends farther from its origin counts as surroundings
+
 
 def explicit_allowed_pairs(scene: PlanningScene) -> Mapping[frozenset[str], bool]:
     """Return the allowed collision pairs of a scene.
@@ -49,10 +53,6 @@ def without_allowed_entries(scene: PlanningScene, name: str) -> PlanningScene:
         allowed_pairs={pair: allow for pair, allow in scene.allowed_pairs.items() if name not in pair},
         allowed_defaults={k: allow for k, allow in scene.allowed_defaults.items() if k != name},
     )
-
-
-Array = NDArray[np.float64]
-WORLD = "world"
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,9 +393,6 @@ class PlanningScene:
             InputError: a change cannot be applied; the message says which change and why.
         """
         return diff.applied_to(self)
-
-
-LARGE = 2.0  # [m] an object that extends farther from its origin counts as surroundings
 
 
 def extent(scene: PlanningScene) -> tuple[NDArray[np.float64], float]:

@@ -38,6 +38,8 @@ F64 = NDArray[np.float64]
 
 SLIDES = 0.02  # [m/s] an object starts to slide when all its contacts are faster than this
 RESTS = 0.005  # [m/s] it rests when one contact is slower; a firm grasp creeps at micrometers per second
+STILL = 1e-3  # [m/s] a hand is at rest when its tcp is slower, plus `STILL_ARM` times its angular velocity
+STILL_ARM = 0.1  # [m]
 
 
 class SlidingFriction:
@@ -113,9 +115,6 @@ class SlidingFriction:
         tangential = relative - normal * np.sum(relative * normal, axis=1, keepdims=True)
         return self._owner[geoms], np.linalg.norm(tangential, axis=1)
 
-
-STILL = 1e-3  # [m/s] a hand is at rest when its tcp is slower, plus `STILL_ARM` times its angular velocity
-STILL_ARM = 0.1  # [m]
 
 _I8, _F8, _B = np.int64, np.float64, np.bool_
 HOLDING = (_F8, _F8, _I8, _I8, _I8, _I8, _I8, _B, _F8, _I8, _F8, _F8, _F8, _F8)

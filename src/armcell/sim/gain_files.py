@@ -41,6 +41,13 @@ EFFORT, GAZEBO, POSITION = 2, 1, 0
 `EFFORT`: a controller that commands efforts. `GAZEBO`: the Gazebo plugin. `POSITION`: a controller that
 commands positions, whose gains ros_control ignores.
 """
+logger = logging.getLogger(__name__)
+SETS = Path(__file__).parent / "gains"
+KEYS = (
+    "arm_control", "arm_kp", "arm_ki", "arm_kv", "slide_kp", "slide_kv", "full_gain_effort", "joint_gains",
+    "gravity_compensation",
+)  # fmt: skip
+"""Physics settings that a gain file may contain."""
 
 
 @dataclass(frozen=True)
@@ -263,16 +270,6 @@ def _number(value: Any) -> Any:
         return float(value) if isinstance(value, str) else value
     except ValueError:
         return value
-
-
-logger = logging.getLogger(__name__)
-
-SETS = Path(__file__).parent / "gains"
-KEYS = (
-    "arm_control", "arm_kp", "arm_ki", "arm_kv", "slide_kp", "slide_kv", "full_gain_effort", "joint_gains",
-    "gravity_compensation",
-)  # fmt: skip
-"""Physics settings that a gain file may contain."""
 
 
 def gains_names() -> list[str]:

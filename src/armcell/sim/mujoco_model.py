@@ -36,6 +36,7 @@ from armcell.sim.shapes import GeomAdder
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+RENDER_CAMERA = "render"
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,9 +200,6 @@ def _gripper_index(
         max_force=servo_force(gripper, settings) / abs(gripper.width_per_joint),
         **common,
     )
-
-
-RENDER_CAMERA = "render"
 
 
 def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:

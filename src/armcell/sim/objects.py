@@ -15,6 +15,9 @@ from armcell.sim.settings import PhysicsSettings
 from armcell.sim.shapes import OBJECT_GROUP, GeomAdder, full_inertia
 
 _BELT_MASS = 1e5  # [kg] so heavy that the objects on a belt do not slow it down
+Array = NDArray[np.float64]
+Poses = tuple[Array, Array]
+"""Positions (body, 3) [m] and quaternions (body, 4), wxyz, of all bodies in parent frames."""
 
 
 def add_object(
@@ -119,11 +122,6 @@ def turn_name(name: str) -> str:
 
 def weld_name(item: str, gripper: str) -> str:
     return f"{item}:{gripper}:weld"
-
-
-Array = NDArray[np.float64]
-Poses = tuple[Array, Array]
-"""Positions (body, 3) [m] and quaternions (body, 4), wxyz, of all bodies in parent frames."""
 
 
 def write_free(data: mujoco.MjData, start: int, T_world_object: SE3) -> None:

@@ -21,6 +21,11 @@ AHEAD = 2.0  # [s] length of a batch
 
 TARGET, SPEED, INTEGRAL, TORQUE, KP, KI, KV, LOW, HIGH, FEEDFORWARD, WINDS_UP, DT = range(12)
 """Rows of `ArmServo.law`."""
+Controls = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+"""Indices (n,) of joints in `ArmServo.target` and of their inputs in MuJoCo's ctrl.
+
+The inputs are the position inputs, then the velocity inputs.
+"""
 
 
 @njit(cache=True)
@@ -82,13 +87,6 @@ class JointTargets:
         times = np.cumsum(steps)[:: self.steps]  # adds step by step like MuJoCo, so the rounding is the same
         self._times = times.tolist()
         self._rows = np.concatenate(self._wanted(times), axis=1)
-
-
-Controls = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
-"""Indices (n,) of joints in `ArmServo.target` and of their inputs in MuJoCo's ctrl.
-
-The inputs are the position inputs, then the velocity inputs.
-"""
 
 
 class ArmServo:

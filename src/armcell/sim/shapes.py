@@ -44,6 +44,7 @@ _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
     Capsule: (GEOM.mjGEOM_CAPSULE, lambda s: [s.radius, s.length / 2, 0]),
     Plane: (GEOM.mjGEOM_PLANE, lambda s: [0, 0, 1]),  # size 0 means infinite
 }
+log = logging.getLogger(__name__)
 
 
 class GeomAdder:
@@ -123,9 +124,6 @@ def full_inertia(inertia: NDArray[np.float64]) -> list[float]:
     The order is xx, yy, zz, xy, xz, yz.
     """
     return [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-
-
-log = logging.getLogger(__name__)
 
 
 def visual_parts(visual: Visual) -> tuple[tuple[Mesh, Color], ...]:

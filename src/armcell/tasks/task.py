@@ -24,6 +24,8 @@ from armcell.tasks.search import PartialSolution, SearchState, Stage, solutions
 from armcell.tasks.stage_statistics import stage_rows, stage_table
 from armcell.tasks.steps import DONE
 
+Some = TypeVar("Some", bound=Outcome)
+
 
 def holding_condition(item: str) -> str:
     """Return the name of the condition "a hand holds the object".
@@ -230,9 +232,6 @@ def plan_stages(
     if plan.code is not ErrorCode.PREEMPTED:
         ctx.emit("error", plan.message, code=plan.code.name, **plan.evidence)
     return None, Outcome(plan.code, plan.message, plan.evidence)
-
-
-Some = TypeVar("Some", bound=Outcome)
 
 
 class TaskFailed(ArmcellError):

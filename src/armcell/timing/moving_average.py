@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 SAME = 1e-7  # [s] times with a smaller difference count as equal
 GROWTH = 1.15
+GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with three points
 
 
 def smooth_by_moving_average(
@@ -84,9 +85,6 @@ def _averaged(t: Array, p: Array, speeds: Array, window: float) -> tuple[Array, 
     q[0], q[-1] = p[0], p[-1]
     v[0] = v[-1] = 0.0
     return knots, q, v
-
-
-GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with three points
 
 
 @njit(cache=True)

@@ -25,6 +25,9 @@ PALE_RED: Color = (0.90, 0.45, 0.40, 0.40)
 GREY: Color = (0.45, 0.45, 0.45, 0.40)
 BLUE: Color = (0.15, 0.40, 0.80, 0.35)
 AMBER: Color = (0.95, 0.60, 0.05, 0.55)
+logger = logging.getLogger(__name__)
+FRAME = 1 / 30  # [s]
+PAUSE = 0.5  # [s] at the end, before the next repetition
 
 
 class Ghost:
@@ -103,12 +106,6 @@ class Ghost:
 
     def hide(self) -> None:
         self.root.visible = False
-
-
-logger = logging.getLogger(__name__)
-
-FRAME = 1 / 30  # [s]
-PAUSE = 0.5  # [s] at the end, before the next repetition
 
 
 class Player:

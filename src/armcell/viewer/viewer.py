@@ -24,6 +24,13 @@ if TYPE_CHECKING:
     import viser
     from viser import GuiApi
 
+Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
+UPDATE_HZ = 30.0
+"""Update rate in wall time; samples between two updates are skipped, the last one is always shown."""
+PATH_SAMPLES = 80
+PATH_COLOR = (0, 114, 178)
+
 
 class StatusPanel:
     """Status panel of the viewer.
@@ -74,15 +81,6 @@ class StatusPanel:
             known = [] if width is None else [f"{1000 * width:.1f} mm"]
             known += [] if force is None else [f"{force:.1f} N"]
             field.value = ", ".join(known) or "-"
-
-
-Array = NDArray[np.float64]
-logger = logging.getLogger(__name__)
-
-UPDATE_HZ = 30.0
-"""Update rate in wall time; samples between two updates are skipped, the last one is always shown."""
-PATH_SAMPLES = 80
-PATH_COLOR = (0, 114, 178)
 
 
 class CellViewer:

@@ -64,6 +64,8 @@ from armcell.collision.kernel.world_collision import world_block
 
 
 DONE = np.int64(-1)
+EVERY = np.int64((1 << L) - 1)  # all lanes
+__all__ = ["EVERY", "EXACT", "FIRST", "PADDED", "PROVE", "check_block", "handle_of", "touches"]
 
 
 @inner_njit(forceinline=True)
@@ -203,8 +205,6 @@ def pairs_block(I, F, D, w, state, s, slack, slack_pair, mode):
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 
 
-EVERY = np.int64((1 << L) - 1)  # all lanes
-
 # Indices of the addresses in a handle.
 AT_I, AT_F, AT_D, AT_W, AT_STATE, AT_S, AT_SLACK, AT_SLACK_PAIR, AT_CHECK, AT_SELF = range(10)
 
@@ -321,6 +321,3 @@ def touches(handle, mode, q):
         for lane in range(L):
             w[j * L + lane] = q[j]
     return check_block(k, np.int64(1), np.int64(mode)) != 0
-
-
-__all__ = ["EVERY", "EXACT", "FIRST", "PADDED", "PROVE", "check_block", "handle_of", "touches"]

@@ -41,6 +41,10 @@ OBJECT_SHARE = 1 / 15  # a large object needs no finer cover, and fitting one wo
 
 BODY_VERSION = 1  # increase when `_new_body` returns other spheres or pieces, to invalidate the disk cache
 UP = np.float32(1 + 1e-6)  # rounding to float32 must not shrink a cover
+NARROW_GAPS_VERSION = 1  # increase when the results change, to invalidate the disk cache
+STATES = 32  # random states in which distances are computed
+NARROW_SHARE = 0.3  # share of the states in which only the finer cover leaves a gap
+JOINTS = 2  # between the base and the other link; links with more joints between them are rarely that close
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,12 +197,6 @@ def _size(shape: Shape) -> float:
     """Return the longest side [m] of a shape's bounding box, to prepare a robot's shapes for the kernel."""
     _, half = local_bounds(shape)
     return 2 * float(half.max())
-
-
-NARROW_GAPS_VERSION = 1  # increase when the results change, to invalidate the disk cache
-STATES = 32  # random states in which distances are computed
-NARROW_SHARE = 0.3  # share of the states in which only the finer cover leaves a gap
-JOINTS = 2  # between the base and the other link; links with more joints between them are rarely that close
 
 
 def narrow_gaps(model: RobotModel) -> frozenset[str]:

@@ -25,6 +25,8 @@ from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, Poin
 F64 = NDArray[np.float64]
 
 SECTIONS = 48  # number of facets around round shapes
+GROUP = 8  # spheres that share a bounding sphere
+FIT_VERSION = 1  # increase when `fit` returns other spheres, to invalidate the disk cache
 
 
 def triangulated(shape: Shape) -> tuple[F64, NDArray[np.int64], float]:
@@ -148,10 +150,6 @@ def interior_points(vertices: F64, faces: NDArray[np.int64], spacing: float) -> 
     if len(grid) == 0:
         return grid
     return grid[winding_numbers(grid, vertices, faces) > 0.5]
-
-
-GROUP = 8  # spheres that share a bounding sphere
-FIT_VERSION = 1  # increase when `fit` returns other spheres, to invalidate the disk cache
 
 
 @dataclass(frozen=True, eq=False)

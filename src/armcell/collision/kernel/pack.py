@@ -21,6 +21,60 @@ from armcell.scene import PlanningScene
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
+Flat = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float64]]
+HEADER = 53
+_INTS = (
+    "parent",
+    "kind",
+    "column",
+    "frame",
+    "body_groups",
+    "group_spheres",
+    "body_pieces",
+    "pairs",
+    "near",
+    "near_groups",
+    "meet",
+    "meet_groups",
+    "shape_kind",
+    "shape_object",
+    "shape_planes",
+    "shape_pieces",
+    "child",
+    "piece_kind",
+    "piece_points",
+    "shape_cloud",
+    "cloud",
+    "cloud_child",
+)
+_FLOATS = (
+    "fixed",
+    "multiplier",
+    "offset",
+    "body_sphere",
+    "padding",
+    "margin",
+    "group_sphere",
+    "sphere",
+    "rate",
+    "pair_rate",
+    "shape_pose",
+    "shape_size",
+    "planes",
+    "boxes",
+    "points32",
+    "cloud_boxes",
+    "cloud_parts",
+    "pair_margin",
+)
+_DOUBLES = (
+    "piece_size",
+    "piece_pose",
+    "piece_ball",
+    "points",
+    "reach",
+    "pair_reach",
+)
 
 
 class Pack(NamedTuple):
@@ -124,8 +178,6 @@ def _ignored(scene: PlanningScene, bodies: tuple[str, ...], objects: tuple[str, 
     return ignored
 
 
-Flat = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float64]]
-
 # indices of the counts in I
 DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
 # indices in I of the start of each integer table
@@ -183,60 +235,6 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     REACH,
     PAIR_REACH,
 ) = range(47, 53)
-HEADER = 53
-
-_INTS = (
-    "parent",
-    "kind",
-    "column",
-    "frame",
-    "body_groups",
-    "group_spheres",
-    "body_pieces",
-    "pairs",
-    "near",
-    "near_groups",
-    "meet",
-    "meet_groups",
-    "shape_kind",
-    "shape_object",
-    "shape_planes",
-    "shape_pieces",
-    "child",
-    "piece_kind",
-    "piece_points",
-    "shape_cloud",
-    "cloud",
-    "cloud_child",
-)
-_FLOATS = (
-    "fixed",
-    "multiplier",
-    "offset",
-    "body_sphere",
-    "padding",
-    "margin",
-    "group_sphere",
-    "sphere",
-    "rate",
-    "pair_rate",
-    "shape_pose",
-    "shape_size",
-    "planes",
-    "boxes",
-    "points32",
-    "cloud_boxes",
-    "cloud_parts",
-    "pair_margin",
-)
-_DOUBLES = (
-    "piece_size",
-    "piece_pose",
-    "piece_ball",
-    "points",
-    "reach",
-    "pair_reach",
-)
 
 
 def flatten(p: Pack) -> Flat:

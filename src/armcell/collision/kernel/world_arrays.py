@@ -41,6 +41,17 @@ count from the first row of the object. Beside tables of a `Pack` there are:
 """
 
 SHAPES, PLANES, PIECES, POINTS, BLOCKS_OF_POINTS, CLOUDS, BLOCKS, NUMBERS = range(len(ROWS))
+NO_PLANES = np.zeros((0, 4))
+NO_CLOUDS: dict[str, NDArray] = {
+    "cloud": np.zeros((0, 4), np.int32),
+    "cloud_boxes": np.zeros((0, 6, L), np.float32),
+    "cloud_child": np.zeros((0, L), np.int32),
+    "cloud_parts": np.zeros(0, np.float32),
+}
+COLUMN = {name: k for k, (first, others) in enumerate(ROWS.items()) for name in (first, *others)}
+KEPT = 8  # worlds
+_lock = threading.RLock()
+_recent: deque[World] = deque(maxlen=KEPT)
 
 
 class ObjectTables(NamedTuple):
@@ -143,15 +154,6 @@ def _cloud_tables(clouds: Sequence[Cloud], owner: I64) -> dict[str, NDArray]:
     }
 
 
-NO_PLANES = np.zeros((0, 4))
-NO_CLOUDS: dict[str, NDArray] = {
-    "cloud": np.zeros((0, 4), np.int32),
-    "cloud_boxes": np.zeros((0, 6, L), np.float32),
-    "cloud_child": np.zeros((0, L), np.int32),
-    "cloud_parts": np.zeros(0, np.float32),
-}
-
-
 @lru_cache(maxsize=1024)
 def _hull_planes(mesh: Mesh) -> F64:
     """Return the planes (n, 4) of a world mesh's convex hull as outward normals and offsets,
@@ -172,10 +174,6 @@ def _world_box(shape: Shape, T: F64) -> tuple[F64, F64]:
     center = T[:3, :3] @ center + T[:3, 3]
     half = np.abs(T[:3, :3]) @ half
     return center - half, center + half
-
-
-COLUMN = {name: k for k, (first, others) in enumerate(ROWS.items()) for name in (first, *others)}
-KEPT = 8  # worlds
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,10 +245,6 @@ class World:
     def _ends(self, table: str, column: int, of_shape: I64) -> NDArray[np.int32]:
         ends = self.tables[table] + self.starts[of_shape, column]
         return np.concatenate([[0], ends]).astype(np.int32)
-
-
-_lock = threading.RLock()
-_recent: deque[World] = deque(maxlen=KEPT)
 
 
 def world_of(objects: Mapping[str, CollisionObject]) -> World:

@@ -17,6 +17,9 @@ from armcell.drivers.ur.dashboard import DashboardClient
 from armcell.drivers.ur.rtde_client import RobotState, RtdeClient
 from armcell.drivers.ur.wire import rtde
 
+EVERY = 0.02  # [s] between an answer and the next request
+SHORTEST_OF = 5  # one late answer indicates a busy computer, five in a row the network
+
 
 def measure_network(host: str, frequency: float, seconds: float = 2.0) -> NetworkReport:
     """Measure round trips and state intervals of the network connection to a UR robot,
@@ -48,10 +51,6 @@ def measure_network(host: str, frequency: float, seconds: float = 2.0) -> Networ
     return NetworkReport(
         float(np.median(trips)), max(trips), float(np.median(gaps)), float(gaps.max()), frequency
     )
-
-
-EVERY = 0.02  # [s] between an answer and the next request
-SHORTEST_OF = 5  # one late answer indicates a busy computer, five in a row the network
 
 
 class Pinger:

@@ -24,6 +24,7 @@ from armcell.emulators.franka.robot import Robot
 from armcell.emulators.network import Network, TcpConnection
 
 GRAVITY, NO_ELBOW_RATES = np.array([0.0, 0.0, -9.81]), np.zeros(4)  # O_ddP_O; delbow_c and ddelbow_c
+MAX_CUTOFF = 1000.0  # [Hz]; disables a filter
 
 
 class StateWriter:
@@ -70,9 +71,6 @@ class StateWriter:
                 flags[INDEX[name]] = 1
         m.write_scalars(r.time, r.generator_mode, r.controller_mode, r.mode, r.success_rate)
         return bytes(m)
-
-
-MAX_CUTOFF = 1000.0  # [Hz]; disables a filter
 
 
 class CommandServer:

@@ -40,6 +40,9 @@ from armcell.emulators.ur.urscript.interpreter import Pose, ProgramError, Vec, f
 CONTACT, TOUCH = 3.0, 0.5  # [N] force that detects a contact; force at which the contact began
 DETECTION = 0.1  # [s] after `tool_contact` in which contacts of the hand are allowed
 FRICTION = 1.0  # [Nm s/rad] viscous friction of a joint that remains after compensation
+Wait = Generator[None, None, Any]
+Functions = dict[str, Callable[..., Any]]
+FULL_ACCELERATION = 5.0  # [rad/s^2] of optimovej with a = 1
 
 
 def force_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
@@ -162,10 +165,6 @@ def torque_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
         yield
 
     return {"direct_torque": direct_torque}
-
-
-Wait = Generator[None, None, Any]
-Functions = dict[str, Callable[..., Any]]
 
 
 def motion_functions(robot: Robot) -> Functions:
@@ -295,7 +294,6 @@ def motion_functions(robot: Robot) -> Functions:
     return {f.__name__: f for f in functions} | torque_functions(robot)
 
 
-FULL_ACCELERATION = 5.0  # [rad/s^2] of optimovej with a = 1
 FULL_TOOL_ACCELERATION, FULL_TOOL_SPEED = 5.0, 1.5  # [m/s^2], [m/s] of optimovel with a = v = 1
 
 

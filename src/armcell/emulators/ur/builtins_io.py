@@ -16,6 +16,7 @@ from armcell.emulators.ur.urscript.interpreter import ProgramError, Vec
 
 CONFIGURABLE, TOOL = 8, 16  # first bit of the configurable pins, and of the tool's pins
 TOOL_VOLTAGES = (0, 12, 24)  # [V]
+Wait = Generator[None, None, Any]
 
 
 def io_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
@@ -148,9 +149,6 @@ def _registers(r: Robot) -> dict[str, Callable[..., Any]]:
         "write_output_integer_register": write_int,
         "write_output_float_register": write_double,
     }
-
-
-Wait = Generator[None, None, Any]
 
 
 def socket_functions(

@@ -21,6 +21,7 @@ F64 = NDArray[np.float64]
 NOTHING = (np.zeros(3), np.zeros(3), np.zeros(3))
 ABOUT_Z = SE3(SO3.exp((0.0, 0.0, np.pi)), np.zeros(3))  # controller's base in the model's base_link
 SERVO_LAG = 0.008  # [s] approximate lag of a UR's joints behind their target
+WORDS = "armcell fault payload <kg> | offset <0-5> <rad> | block <0-5> | arm none"
 
 
 class Plant(Protocol):
@@ -267,9 +268,6 @@ class PhysicsPlant:
         if name not in self.world.built.objects:
             raise ValueError(f"no object {name!r}")
         return pose_of(self.world.object_pose(name).matrix)
-
-
-WORDS = "armcell fault payload <kg> | offset <0-5> <rad> | block <0-5> | arm none"
 
 
 class FaultyPlant:

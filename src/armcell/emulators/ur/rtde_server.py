@@ -24,6 +24,10 @@ TORQUE_PER_AMPERE = 10.0  # [Nm/A] approximate torque at the gear's output
 JOINT_RUNNING, JOINT_IDLE = 253, 255
 TOOL_RUNNING, TOOL_IDLE = 253, 255
 WORD = 0xFFFFFFFF
+MAX_DEVIATION = 0.1  # [rad] between target and measured position: deviation ratio 1
+log = logging.getLogger(__name__)
+MAX_INPUT_RECIPES = 255
+NEVER = 2**31  # control steps between two packets of a client that asks for nearly no packets
 
 
 def outputs_of(robot: Robot) -> dict[str, Getter]:
@@ -94,9 +98,6 @@ def _motion(r: Robot) -> dict[str, Getter]:
     }
 
 
-MAX_DEVIATION = 0.1  # [rad] between target and measured position: deviation ratio 1
-
-
 def _tcp_acceleration(r: Robot, q: Array, v: Array, a: Array) -> Array:
     """Return the acceleration (6,) [m/s^2, rad/s^2] of the tool for an RTDE output, by finite differences."""
     dt = r.period
@@ -159,12 +160,6 @@ def _state(r: Robot) -> dict[str, Getter]:
         "actual_main_voltage": lambda: 48.0,
         "actual_robot_voltage": lambda: 48.0,
     }
-
-
-log = logging.getLogger(__name__)
-
-MAX_INPUT_RECIPES = 255
-NEVER = 2**31  # control steps between two packets of a client that asks for nearly no packets
 
 
 class _Client:

@@ -40,6 +40,9 @@ _REALTIME = (
     (146, "payload_inertia"),
 )  # fmt: skip
 """Index of each value's first double. Source: Universal Robots, "Realtime Client Interface" (3.15, 5.10)."""
+READ_ONLY = 10  # offset of the read-only port's number
+STATE_PERIOD = 0.1  # [s] between states on the primary and secondary ports
+READ_ONLY_CODE = 210  # UR error code: commands over a read-only connection
 
 
 class StateEncoder:
@@ -168,9 +171,6 @@ def run_script(robot: Robot, network: Network, text: str, name: str = "") -> boo
 
 
 PORTS = PRIMARY, SECONDARY, REALTIME = 30001, 30002, 30003
-READ_ONLY = 10  # offset of the read-only port's number
-STATE_PERIOD = 0.1  # [s] between states on the primary and secondary ports
-READ_ONLY_CODE = 210  # UR error code: commands over a read-only connection
 
 
 @dataclass

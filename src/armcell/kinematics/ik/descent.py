@@ -18,6 +18,7 @@ DAMPING, BIAS = 0.1, 1e-8
 LARGEST_STEP = 0.5  # [rad or m] of any joint in one iteration
 PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave over PROGRESS of the error
 RELEASES = 3  # solves per iteration: the first with all joints, more without joints at a limit
+ENOUGH = 1e-3  # [rad or m] sliding ends when the possible gain is smaller
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -141,7 +142,6 @@ def descend(
 
 
 STEPS, CORRECTIONS = 30, 8  # slides, and iterations of the descent back to the goal after each
-ENOUGH = 1e-3  # [rad or m] sliding ends when the possible gain is smaller
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

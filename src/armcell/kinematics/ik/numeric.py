@@ -25,6 +25,13 @@ from armcell.kinematics.ik.solver import POSE_JOINTS, ChainData, IKSettings, IKS
 from armcell.model import Joint, Link, RobotModel
 
 DISTINCT = 1e-2  # [rad or m] in any joint
+Array = NDArray[np.float64]
+TABLED = 64  # maximum number of precomputed seeds, nearest first; the remaining seeds are random
+BATCH = 4  # number of solutions per call of the compiled search
+POLISH = 12  # iterations that bring an arm with fewer than six joints as near to the goal as it gets
+BARREN = 32  # if a solution exists, the search ends after this many seeds without a new one
+SOLUTIONS = 16  # of the arm, among which distinct angles are searched
+APART = 1e-3  # [rad] distinct angles
 
 
 def ik_problem(
@@ -97,14 +104,6 @@ def any_solution(problem, seeds, poses, tries, found):
     _, _, _, goal, scale, _, _, _, _ = problem
     rank(poses, goal, scale, scores)
     return search(problem, seeds, scores, tries, found, 0, 1)[1] > 0
-
-
-Array = NDArray[np.float64]
-
-TABLED = 64  # maximum number of precomputed seeds, nearest first; the remaining seeds are random
-BATCH = 4  # number of solutions per call of the compiled search
-POLISH = 12  # iterations that bring an arm with fewer than six joints as near to the goal as it gets
-BARREN = 32  # if a solution exists, the search ends after this many seeds without a new one
 
 
 @ik_solvers.register("numeric")
@@ -180,10 +179,6 @@ class NumericIK(IKSolver):
             low, high = sampling_range(prepared.chain)
             rng = np.random.default_rng(0) if rng is None else rng
             yield rng.uniform(low, high, (rest, len(low))), np.arange(rest, dtype=np.float32), rest
-
-
-SOLUTIONS = 16  # of the arm, among which distinct angles are searched
-APART = 1e-3  # [rad] distinct angles
 
 
 def free_axis_angles(

@@ -84,6 +84,8 @@ PLANNERS: dict[str, dict[str, Any]] = {
     "SPARS": _SPARSE | {"max_failures": 1000},
     "SPARStwo": _SPARSE | {"max_failures": 5000},
 }
+SOLVER = "kdl_kinematics_plugin/KDLKinematicsPlugin"
+MANAGER = "moveit_simple_controller_manager/MoveItSimpleControllerManager"
 
 
 def config_name(planner: str) -> str:
@@ -104,9 +106,6 @@ VELOCITY, ACCELERATION = 1.0, 1.0
 MoveIt's time parameterization uses the same values (TimeOptimalTrajectoryGeneration: DEFAULT_VELOCITY_LIMIT,
 DEFAULT_ACCELERATION_LIMIT).
 """
-
-SOLVER = "kdl_kinematics_plugin/KDLKinematicsPlugin"
-MANAGER = "moveit_simple_controller_manager/MoveItSimpleControllerManager"
 
 
 def joint_limits(model: RobotModel) -> dict[str, Any]:

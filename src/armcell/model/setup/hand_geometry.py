@@ -11,6 +11,7 @@ from armcell.model.robot import Joint, Link, RobotModel
 from armcell.model.setup.arm_detection import common_link
 
 F64 = NDArray[np.float64]
+SPACING = 0.002  # [m] of the grid on which the jaws' facing surfaces are compared
 
 
 def surface_points(link: Link, spacing: float) -> F64:
@@ -49,9 +50,6 @@ def _box(center: F64, half: F64) -> F64:
     v = np.asarray(center) + signs * np.asarray(half)
     quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
     return np.array([v[list(t)] for q in quads for t in ((q[0], q[1], q[2]), (q[0], q[2], q[3]))])
-
-
-SPACING = 0.002  # [m] of the grid on which the jaws' facing surfaces are compared
 
 
 class GripperNotRecognizedError(Exception):

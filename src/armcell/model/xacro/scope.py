@@ -27,6 +27,15 @@ TOKEN = re.compile(
 )
 
 Substitute = Callable[[str, "Scope"], str]
+MAX_PARAMETERS = 10_000  # characters
+# Every alternative is one character or one quoted text, so matching never backtracks for long.
+_WITH_DEFAULT = re.compile(
+    r"\s*(?P<name>[^\s:=]+)\s*:?=\s*(?P<forward>\^\|?)?"
+    r"(?P<default>\$\{.*?\}(?=\s|$)|\$\(.*?\)(?=\s|$)|(?:'[^']*'|\"[^\"]*\"|[^\s'\"])*)(?=\s|$)"
+)
+_NAME = re.compile(r"\s*(?P<name>\S+)")
+ENV_CURE = "if you trust this file: armcell --allow-env COMMAND ..., or allow_env=True in Python"
+ARGUMENT = re.compile(r"\$\(arg\s+([^\s)]+)\s*\)")
 
 
 class Scope:
@@ -200,15 +209,6 @@ def typed(value: str) -> Any:
     return value.lower() == "true" if value.lower() in ("true", "false") else value
 
 
-MAX_PARAMETERS = 10_000  # characters
-# Every alternative is one character or one quoted text, so matching never backtracks for long.
-_WITH_DEFAULT = re.compile(
-    r"\s*(?P<name>[^\s:=]+)\s*:?=\s*(?P<forward>\^\|?)?"
-    r"(?P<default>\$\{.*?\}(?=\s|$)|\$\(.*?\)(?=\s|$)|(?:'[^']*'|\"[^\"]*\"|[^\s'\"])*)(?=\s|$)"
-)
-_NAME = re.compile(r"\s*(?P<name>\S+)")
-
-
 @dataclass(frozen=True)
 class Parameter:
     """Parameter in `params` of a xacro macro, with its default value.
@@ -247,12 +247,6 @@ def parameters_of(text: str) -> tuple[Parameter, ...]:
         else:
             found.append(Parameter(given["name"], given["default"] or None, given["forward"] is not None))
     return tuple(found)
-
-
-ENV_CURE = "if you trust this file: armcell --allow-env COMMAND ..., or allow_env=True in Python"
-
-
-ARGUMENT = re.compile(r"\$\(arg\s+([^\s)]+)\s*\)")
 
 
 class MissingArgument(XacroError):

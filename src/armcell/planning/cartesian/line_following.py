@@ -35,6 +35,17 @@ STRETCH = 0.15  # [rad or m] of the joint that moves most along the null space
 WIDEST = 16  # stretches to either side of the start
 LARGEST = 0.6  # [rad or m] largest joint step between two cuts; a larger step means another branch
 NEAR_LIMIT = 0.2  # weight of nearness to a limit relative to squared joint motion
+SINGULAR = 0.05  # smallest singular value of the Jacobian [m, rad], far below normal values
+LEAD_OUT = (
+    "the line begins in contact and does not lead out of it: begin with a waypoint a few millimeters off "
+    "what it touches, or allow the contact"
+)
+JointPreference = Callable[
+    [F64, int], F64
+]  # (positions (n,), number of the step) -> desired change of the positions (n,)
+TASK = 6  # degrees of freedom of a pose; further joints are redundant
+GAIN = 0.15  # share of the zone by which a joint moves away per step
+FASTEST = 0.05  # [rad or m] largest null-space motion in one step
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,17 +128,10 @@ def _between(last: _Node, cuts: list[int], count: int) -> F64:
     return np.column_stack([np.interp(steps, at, points[:, j]) for j in range(points.shape[1])])
 
 
-SINGULAR = 0.05  # smallest singular value of the Jacobian [m, rad], far below normal values
-
 COLLISION, CONSTRAINT, JUMP, LIMIT, REACH, SINGULARITY, BRANCH = (
     "collision", "path constraint", "jump", "joint limit", "out of reach", "singularity", "no way on",
 )  # fmt: skip
 
-
-LEAD_OUT = (
-    "the line begins in contact and does not lead out of it: begin with a waypoint a few millimeters off "
-    "what it touches, or allow the contact"
-)
 
 TURNING, SLIDING, RELATIVE = "jump_threshold", "prismatic_jump_threshold", "relative_jump_threshold"
 """Names of the request's jump thresholds."""
@@ -230,14 +234,7 @@ def ik_stop(
     return StopReason(cause, f"{text} ({missing})", ErrorCode.NO_IK_SOLUTION, evidence)
 
 
-JointPreference = Callable[
-    [F64, int], F64
-]  # (positions (n,), number of the step) -> desired change of the positions (n,)
-
-TASK = 6  # degrees of freedom of a pose; further joints are redundant
 ZONE, ZONE_SHARE = 0.35, 0.15  # [rad or m], and share of the range: a joint so near a limit moves away
-GAIN = 0.15  # share of the zone by which a joint moves away per step
-FASTEST = 0.05  # [rad or m] largest null-space motion in one step
 
 
 @dataclass(frozen=True, eq=False)

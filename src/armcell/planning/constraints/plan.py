@@ -74,6 +74,14 @@ from armcell.timing import (
 F64 = NDArray[np.float64]
 
 SETTINGS = RRTConnectSettings(max_waypoints=4096)
+logger = logging.getLogger(__name__)
+LADDER = ((0.05, 0.032), (0.01, 0.032), (0.01, 0.016), (2e-3, 0.008), (5e-4, 4e-3))
+"""Corner deviation [rad] and smoothing window [s]; the next pair is used if the previous one violates the
+constraints or touches an obstacle. Smaller values make the motion slower and less smooth."""
+PIECES = 4  # chords between two points of the trajectory, on which the constraints are proven
+MAX_ROUNDS = 5  # attempts with other seeds if a path cannot be proven
+MORE = 200  # further solutions of a pose goal to test if the first ones violate the constraints
+PLANNER = "RRTConnect"
 
 
 class ConstrainedPlanner(NativePlanner):
@@ -142,9 +150,6 @@ def constrained_planner(checker: KernelChecker, manifold: ConstraintManifold) ->
     return ConstrainedPlanner(planner_of(checker), manifold)
 
 
-logger = logging.getLogger(__name__)
-
-
 @lru_cache(maxsize=1)
 def warm_up_constraints() -> float:
     """Compile all kernels for planning with path constraints before their first use, and return the duration
@@ -167,13 +172,6 @@ def warm_up_constraints() -> float:
     if seconds > 2.0:
         logger.info("compiled planning with path constraints in %.0f s; it is kept for later runs", seconds)
     return seconds
-
-
-LADDER = ((0.05, 0.032), (0.01, 0.032), (0.01, 0.016), (2e-3, 0.008), (5e-4, 4e-3))
-"""Corner deviation [rad] and smoothing window [s]; the next pair is used if the previous one violates the
-constraints or touches an obstacle. Smaller values make the motion slower and less smooth."""
-
-PIECES = 4  # chords between two points of the trajectory, on which the constraints are proven
 
 
 def time_on_manifold(
@@ -234,11 +232,6 @@ def chords(trajectory: JointTrajectory) -> tuple[F64, F64]:
     basis = np.hstack([n * s**i * (1 - s) ** (5 - i) for i, n in enumerate((1, 5, 10, 10, 5, 1))])
     points = np.einsum("pc,cin->ipn", basis, control).reshape(-1, q.shape[1])
     return np.vstack([points, q[-1]]), room
-
-
-MAX_ROUNDS = 5  # attempts with other seeds if a path cannot be proven
-MORE = 200  # further solutions of a pose goal to test if the first ones violate the constraints
-PLANNER = "RRTConnect"
 
 
 def check_planner(validated: ValidatedRequest) -> None:

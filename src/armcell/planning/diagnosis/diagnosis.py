@@ -38,6 +38,11 @@ from armcell.scene import PlanningScene
 
 Request = PlanRequest | CartesianRequest
 SceneAndRequest = tuple[PlanningScene, Request]
+Array = NDArray[np.float64]
+Solve = Callable[[PlanningScene, Any], PlanResult]
+TRY = 2.0  # [s] planning time limit of a changed request
+SPARE = 2e-3  # [m] wanted distance of the nearest free configuration from objects
+CLOSE_TO_LIMIT = np.deg2rad(5.0)
 
 
 def change_request(scene: PlanningScene, request: Request, **fields: Any) -> SceneAndRequest:
@@ -131,15 +136,6 @@ def padded(scene: PlanningScene, most: float) -> PlanningScene:
     """Return a copy of the scene whose paddings are at most `most` [m], for use in a suggested change."""
     links = {link: min(value, most) for link, value in scene.link_padding.items()}
     return scene.with_padding(min(scene.padding, most), links)
-
-
-Array = NDArray[np.float64]
-
-Solve = Callable[[PlanningScene, Any], PlanResult]
-
-TRY = 2.0  # [s] planning time limit of a changed request
-SPARE = 2e-3  # [m] wanted distance of the nearest free configuration from objects
-CLOSE_TO_LIMIT = np.deg2rad(5.0)
 
 
 @dataclass(eq=False)

@@ -34,6 +34,12 @@ from armcell.planning.moved_frame import MovedFrame
 from armcell.planning.request import ValidatedRequest
 
 Target = str | SE3 | JointState | Mapping[str, float] | Sequence[float] | NDArray[np.float64] | Goal
+Array = NDArray[np.float64]
+Found = tuple[Outcome, list[Array]]
+MORE = 100  # further solutions to test if none of the first solutions is free
+ENOUGH = 4  # free positions of a goal to begin with
+BLOCKED = 16  # positions in collision after which another posture is tried
+DISTINCT = 1e-2  # [rad or m] goals with a smaller difference in every joint count as one goal
 
 
 def goal_of(model: RobotModel, group: str, target: Target) -> Goal:
@@ -76,15 +82,6 @@ def goal_of(model: RobotModel, group: str, target: Target) -> Goal:
             hint=f"its order is {', '.join(names)}; to give some of them, give them by name",
         )
     return JointGoal(JointState(names, values))
-
-
-Array = NDArray[np.float64]
-
-Found = tuple[Outcome, list[Array]]
-
-MORE = 100  # further solutions to test if none of the first solutions is free
-ENOUGH = 4  # free positions of a goal to begin with
-BLOCKED = 16  # positions in collision after which another posture is tried
 
 
 def find_joint_goals(
@@ -249,9 +246,6 @@ def _in_collision(contacts: list[Contact]) -> Outcome:
     if all(c.distance > 0 for c in contacts):
         text += ", which is nearer than the kernel's convex pieces of the meshes resolve"
     return Outcome(ErrorCode.GOAL_IN_COLLISION, text, {"contacts": contacts})
-
-
-DISTINCT = 1e-2  # [rad or m] goals with a smaller difference in every joint count as one goal
 
 
 def stream_goals(

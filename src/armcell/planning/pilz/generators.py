@@ -53,6 +53,11 @@ from armcell.timing import stationary_trajectory
 F64 = NDArray[np.float64]
 
 AT_GOAL = 1e-9  # [m, rad or joint units] shorter motions count as standstill
+_CURE = (
+    "give parameters={'interim': (x, y, z)} or {'center': (x, y, z)}, "
+    "or path constraints of one of these names with one position constraint"
+)
+STANDING = 1e-8  # [rad/s or m/s] largest start velocity that counts as rest (MoveIt's VELOCITY_TOLERANCE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,15 +279,6 @@ def _place(validated: ValidatedRequest, constraint: Any) -> tuple[F64, str | Non
         MovedFrame(validated.scene, validated.request.group, constraint.link)  # an unknown link raises
     pose = validated.scene.transform(WORLD, constraint.frame) @ constraint.region[0][1]
     return pose.translation, constraint.link
-
-
-_CURE = (
-    "give parameters={'interim': (x, y, z)} or {'center': (x, y, z)}, "
-    "or path constraints of one of these names with one position constraint"
-)
-
-
-STANDING = 1e-8  # [rad/s or m/s] largest start velocity that counts as rest (MoveIt's VELOCITY_TOLERANCE)
 
 
 def validate_pilz_request(validated: ValidatedRequest) -> None:

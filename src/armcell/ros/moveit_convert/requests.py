@@ -38,6 +38,12 @@ from armcell.scene import PlanningScene
 XYZ_EULER_ANGLES, ROTATION_VECTOR = 0, 1  # moveit_msgs/OrientationConstraint
 PARAMETERIZATIONS = {XYZ_EULER_ANGLES: "xyz_euler", ROTATION_VECTOR: "rotation_vector"}
 VIEW_AXES = {0: "z", 1: "y", 2: "x"}  # moveit_msgs/VisibilityConstraint
+DEFAULT_TIME = 5.0  # [s] if a request gives no planning time
+MOVE_GROUP_ADAPTERS = (ADAPTERS[0], "fix_start_state_collision", *ADAPTERS[1:])
+"""Request adapters of MoveIt's default chain.
+
+It includes FixStartStateCollision, because a grasped object still touches its support at the start.
+"""
 
 
 def constraints_from_message(message: Any) -> Constraints:
@@ -236,14 +242,6 @@ def _visibility_message(schema: Schema, c: VisibilityConstraint) -> Any:
         sensor_view_direction=next(k for k, axis in VIEW_AXES.items() if axis == c.view_axis),
         weight=1.0,
     )
-
-
-DEFAULT_TIME = 5.0  # [s] if a request gives no planning time
-MOVE_GROUP_ADAPTERS = (ADAPTERS[0], "fix_start_state_collision", *ADAPTERS[1:])
-"""Request adapters of MoveIt's default chain.
-
-It includes FixStartStateCollision, because a grasped object still touches its support at the start.
-"""
 
 
 def error_code_message(schema: Schema, code: ErrorCode | int, message: str = "") -> Any:

@@ -35,6 +35,10 @@ log = logging.getLogger(__name__)
 PUBLISH_PERIOD = 0.25  # [s] 4 Hz, as in move_group's planning scene monitor
 STATE = Components.ROBOT_STATE | Components.ROBOT_STATE_ATTACHED_OBJECTS
 MONITORED = ("/move_group/monitored_planning_scene", "/monitored_planning_scene")
+BEFORE_FIRST = 0.1  # [s] a cloud may be older than the oldest joint state, and uses it
+HISTORY = 256  # stored joint states: several seconds, to know the robot's state in a delayed cloud
+CHANGED = 0.5  # [s] minimum time between scene messages that contain the octomap
+DEPTH = 64  # maximum number of frames between a sensor and a frame of the scene
 
 
 class SceneNode:
@@ -163,10 +167,6 @@ def _one(changes: Callable[[Any, PlanningScene], Any]) -> Callable[[Any, Plannin
 
 
 CLOUD, IMAGE = "sensor_msgs/PointCloud2", "sensor_msgs/Image"
-BEFORE_FIRST = 0.1  # [s] a cloud may be older than the oldest joint state, and uses it
-HISTORY = 256  # stored joint states: several seconds, to know the robot's state in a delayed cloud
-CHANGED = 0.5  # [s] minimum time between scene messages that contain the octomap
-DEPTH = 64  # maximum number of frames between a sensor and a frame of the scene
 
 
 class OctomapNode:

@@ -21,6 +21,7 @@ from armcell.scene import WORLD, PlanningScene
 
 ROBOT, SAFETY = "ur_dashboard_msgs/RobotMode", "ur_dashboard_msgs/SafetyMode"
 RUNNING, NORMAL = 7, 1  # simulated arms are always switched on, and no safety function stops them
+RATE = 30.0  # [Hz]
 
 
 class ArmStatusPublisher:
@@ -81,9 +82,6 @@ class ArmStatusPublisher:
         """Remove the publishers of the arm status (wrench, robot mode, safety mode) from the bus."""
         for member in (*self._wrenches.values(), *(p for pair in self._modes.values() for p in pair)):
             member.close()
-
-
-RATE = 30.0  # [Hz]
 
 
 def check_rate(driver: Driver, rate: float) -> None:

@@ -20,6 +20,9 @@ from armcell.ros.names import NameMap
 from armcell.ros.parameters import _NONE, Parameters
 from armcell.ros.ros1.xmlrpc import ERROR, RpcError
 
+logger = logging.getLogger(__name__)
+Ask = Callable[..., Any]
+
 
 def _parts(key: str) -> list[str]:
     return [part for part in key.split("/") if part]
@@ -143,11 +146,6 @@ def subscriber_update(subscribed: str, changed: str, value: Any) -> tuple[str, A
             return "/" + "/".join([*inner, ""]), {}
         value = value[part]
     return "/" + "/".join([*inner, ""]), value
-
-
-logger = logging.getLogger(__name__)
-
-Ask = Callable[..., Any]
 
 
 class GraphParameters(Parameters):

@@ -29,6 +29,7 @@ JOIN_TIMEOUT = 3.0  # [s] for a thread to notice that its socket is closed
 
 Handle = Callable[[socket.socket, str], bool]
 """Handles a connection in its own thread; returns True to keep the socket open."""
+Task = Callable[[], None]
 
 
 class Listener:
@@ -150,9 +151,6 @@ def shut_down_socket(sock: socket.socket) -> None:
     """Shut down a socket that another thread of a ROS 1 node reads. That thread then closes the socket."""
     with contextlib.suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)
-
-
-Task = Callable[[], None]
 
 
 class Channel(Protocol):

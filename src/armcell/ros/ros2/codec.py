@@ -24,6 +24,9 @@ from armcell.ros.messages import ArrayConverter, Message, make_class, python_nam
 from armcell.ros.ros2.type_hash import TypeHashes
 from armcell.ros.schema import Schema
 
+HEADER_BYTES = 4  # CDR's encapsulation header, before the fields
+_MISSING: Any = object()
+
 
 def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
     """Return all message definitions of a ROS 2 distribution by `pkg/Name`, including the messages of its
@@ -63,9 +66,6 @@ def _action_messages(action: str) -> dict[str, Definition]:
 
 def _node(name: str) -> Any:
     return (Nodetype.NAME, rosbags_name(name))
-
-
-HEADER_BYTES = 4  # CDR's encapsulation header, before the fields
 
 
 class Ros2Codec:
@@ -203,9 +203,6 @@ def _pairs(codec: Ros2Codec, name: str) -> list[tuple[str, str | None]]:
             attribute = python_name(field)
             found.append((attribute, attribute if attribute in ours else lower.get(attribute.lower())))
     return found
-
-
-_MISSING: Any = object()
 
 
 class _Translation:

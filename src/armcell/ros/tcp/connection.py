@@ -20,6 +20,11 @@ from typing import NamedTuple
 from armcell.ros.tcp.framing import KEEP_ALIVE, MAX_BODY, Frame, FrameError, FrameReader
 
 Part = bytes | memoryview
+logger = logging.getLogger(__name__)
+RECEIVE_BYTES = 256 << 10
+SEND_BYTES = 64 << 10  # bytes that one write joins; larger frames are sent part by part without a copy
+GOODBYE = 1.0  # [s] for the peer to read the reason of a disconnection
+UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; further messages wait in the outbox
 
 
 class OutboxLimits(NamedTuple):
@@ -159,13 +164,6 @@ class Outbox:
 
 def _size(parts: tuple[Part, ...]) -> int:
     return sum(len(p) for p in parts)
-
-
-logger = logging.getLogger(__name__)
-RECEIVE_BYTES = 256 << 10
-SEND_BYTES = 64 << 10  # bytes that one write joins; larger frames are sent part by part without a copy
-GOODBYE = 1.0  # [s] for the peer to read the reason of a disconnection
-UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; further messages wait in the outbox
 
 
 class RosTcpConnection:

@@ -32,6 +32,8 @@ FORMAT = 1
 FIXED_TIMESTEP = 0.005  # [s] keeps grasp contacts in PhysX; with Unity's default of 0.02 they slip
 SOLVER_ITERATIONS, VELOCITY_ITERATIONS = 40, 20
 FINGER_STIFFNESS, FINGER_DAMPING = 5000.0, 200.0  # [N/m, N s/m]
+PACKAGE = "com.armcell.unity"
+MESSAGES = "Messages"  # folder of the generated classes in the package
 
 
 def scene_json(cell: Cell, seed: int | None, folder: Path, urdf: str) -> tuple[dict[str, Any], list[str]]:
@@ -155,8 +157,6 @@ def _shapes(shape: Shape, name: str, folder: Path) -> list[dict[str, Any]]:
     return [{"type": "mesh", "visual": f"meshes/objects/{name}.stl", "hulls": pieces}]
 
 
-PACKAGE = "com.armcell.unity"
-MESSAGES = "Messages"  # folder of the generated classes in the package
 SCENE, URDF = "scene.json", "robot.urdf"
 
 

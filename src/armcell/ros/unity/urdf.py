@@ -25,6 +25,8 @@ from armcell.sim.shapes import visual_parts
 Array = NDArray[np.float64]
 MAX_HULL_POINTS = 128
 """Maximum corners of a hull: n corners give up to 2 n - 4 triangles, and Unity allows 255."""
+SMALL_MASS = 1e-3  # [kg] mass of a link without a mass: physics engines require one
+SMALL_INERTIA = 1e-7  # [kg m^2]
 
 
 def write_stl(mesh: Mesh, file: Path) -> None:
@@ -95,10 +97,6 @@ def _oriented(points: Array, hull: ConvexHull) -> Mesh:
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
     return Mesh(vertices, faces.astype(np.int32))
-
-
-SMALL_MASS = 1e-3  # [kg] mass of a link without a mass: physics engines require one
-SMALL_INERTIA = 1e-7  # [kg m^2]
 
 
 def write_urdf(model: RobotModel, folder: Path, name: str = "robot.urdf") -> Path:

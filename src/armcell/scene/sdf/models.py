@@ -28,6 +28,22 @@ from armcell.scene.sdf.includes import ResourceFinder
 
 ROOTS = ("", "__model__", "world")
 MAX_DEPTH = 256  # longest chain of frames relative to each other
+MAX_MODELS = 5000
+MAX_NESTING = 24  # depth of nested models, by <model> or <include>
+LINK = {
+    "pose", "inertial", "collision", "visual", "gravity", "kinematic", "self_collide", "enable_wind",
+    "velocity_decay", "must_be_base_link",
+}  # fmt: skip
+MODEL = {"pose", "static", "link", "model", "include", "joint", "frame", "self_collide", "allow_auto_disable"}
+INCLUDE = {"uri", "name", "pose", "static", "placement_frame"}
+"""Child elements of SDF links, models and includes that armcell converts or ignores.
+
+All other elements are recorded as skipped.
+"""
+GROUND_PLANE = """<sdf version="1.6"><model name="ground_plane"><static>true</static><link name="link">
+<collision name="collision"><geometry><plane><normal>0 0 1</normal></plane></geometry></collision>
+</link></model></sdf>"""
+"""Gazebo's standard model `ground_plane`."""
 
 
 @dataclass
@@ -108,24 +124,6 @@ class Scope:
         if named in ("", base):
             return T
         return self.pose(base, asked_by).inverse() @ self.pose(named, asked_by) @ T
-
-
-MAX_MODELS = 5000
-MAX_NESTING = 24  # depth of nested models, by <model> or <include>
-LINK = {
-    "pose", "inertial", "collision", "visual", "gravity", "kinematic", "self_collide", "enable_wind",
-    "velocity_decay", "must_be_base_link",
-}  # fmt: skip
-MODEL = {"pose", "static", "link", "model", "include", "joint", "frame", "self_collide", "allow_auto_disable"}
-INCLUDE = {"uri", "name", "pose", "static", "placement_frame"}
-"""Child elements of SDF links, models and includes that armcell converts or ignores.
-
-All other elements are recorded as skipped.
-"""
-GROUND_PLANE = """<sdf version="1.6"><model name="ground_plane"><static>true</static><link name="link">
-<collision name="collision"><geometry><plane><normal>0 0 1</normal></plane></geometry></collision>
-</link></model></sdf>"""
-"""Gazebo's standard model `ground_plane`."""
 
 
 @dataclass

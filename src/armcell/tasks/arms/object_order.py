@@ -27,6 +27,14 @@ from armcell.tasks.settings import TaskSettings
 from armcell.tasks.stages.grasp import ReachEstimator
 
 F64 = NDArray[np.float64]
+Order = tuple[str, ...]
+Span = tuple[float, float, float]  # start of a segment, end of its motion, end of its work [s]
+EXHAUSTIVE = 4  # objects per arm up to which all orders are compared,
+ALL_ORDERS = 600  # if all arms together have at most this many
+DETOUR = 1.2  # [s] lost by a detour around another arm: mean of ten in batches of dual_ur10_sort
+SLACK = 0.5  # [s] uncertainty of an estimated time
+SAMPLES = 16  # per motion
+DECIMALS = 3  # [rad] positions that agree to these decimals share a cache entry
 
 
 @dataclass(frozen=True)
@@ -129,14 +137,7 @@ class TourEstimator:
             return SE3(body.T_world_object.rotation, zone.T_world_object.translation)
 
 
-Order = tuple[str, ...]
 Tour = tuple[TourSegment, ...]
-Span = tuple[float, float, float]  # start of a segment, end of its motion, end of its work [s]
-
-EXHAUSTIVE = 4  # objects per arm up to which all orders are compared,
-ALL_ORDERS = 600  # if all arms together have at most this many
-DETOUR = 1.2  # [s] lost by a detour around another arm: mean of ten in batches of dual_ur10_sort
-SLACK = 0.5  # [s] uncertainty of an estimated time
 
 
 def orders(
@@ -275,10 +276,6 @@ def detours(arms: Sequence[Tour], tables: Sequence[Sequence[Span]], conflicts: C
                 if first < until + SLACK and last > since - SLACK:
                     lost[k] += DETOUR
     return lost
-
-
-SAMPLES = 16  # per motion
-DECIMALS = 3  # [rad] positions that agree to these decimals share a cache entry
 
 
 class ConflictCache:

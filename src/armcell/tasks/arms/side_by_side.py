@@ -37,6 +37,15 @@ from armcell.tasks.steps import Motion
 if TYPE_CHECKING:
     from armcell.tasks.steps import Motion
 
+CLEARANCE = 0.02  # [m] between the arms
+PATIENCE = 30.0  # [s] of the driver's clock that an arm waits until its motion may start
+RETRY = 0.1  # [s] between attempts of an arm that waits to move
+IDLE = 0.02  # [s] between checks of an arm that waits for a zone or another arm
+AWAY = 0.005  # [rad] an arm further than this from a motion's start returns there first
+HOME = "home"
+MOTION = "motion"
+__all__ = ["MotionCoordinator"]
+
 
 class ArmContext(TaskContext):
     """Task context of one of several arms that work side by side."""
@@ -77,9 +86,6 @@ class ArmContext(TaskContext):
     def rested(self) -> None:
         self.coordinator.rest(self)
 
-
-CLEARANCE = 0.02  # [m] between the arms
-PATIENCE = 30.0  # [s] of the driver's clock that an arm waits until its motion may start
 
 Program = Callable[[ArmContext], Outcome | None]
 
@@ -159,13 +165,6 @@ def side_by_side(
         first.code, first.message, first.evidence, makespan=ctx.driver.now - began, outcomes=outcomes,
         waited=coordinator.waited, yielded=coordinator.yielded, searched=coordinator.searched,
     )  # fmt: skip
-
-
-RETRY = 0.1  # [s] between attempts of an arm that waits to move
-IDLE = 0.02  # [s] between checks of an arm that waits for a zone or another arm
-AWAY = 0.005  # [rad] an arm further than this from a motion's start returns there first
-HOME = "home"
-MOTION = "motion"
 
 
 class MotionCoordinator:
@@ -458,6 +457,3 @@ class MotionCoordinator:
         if self.asked[ctx.group]:
             self.yield_to_others(ctx)
         ctx.advance(IDLE)
-
-
-__all__ = ["MotionCoordinator"]

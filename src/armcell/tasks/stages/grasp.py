@@ -26,6 +26,12 @@ from armcell.timing import reverse_trajectory
 Array = NDArray[np.float64]
 
 ALIKE = 0.02  # score difference below which grasps count as equally good
+SOLUTIONS_PER_POSE = 3  # IK solutions tried per pose
+APPROACH = ("grasp", "candidate", "pre_grasp", "approach", "after_approach")
+"""Names that `approaches` provides to later stages."""
+GraspFilter = Callable[[PlanningScene], Callable[[Grasp], str]]
+"""Maps a scene to a function that returns why a grasp is unusable for later stages; empty if usable."""
+SECONDS_BESIDES = 3.0  # [s] of a pick that do not depend on the grasp (approach and closing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +103,6 @@ class ReachEstimator:
         acceleration = model.limits(names, "acceleration") * speed.acceleration
         velocity = model.limits(names, "velocity") * speed.velocity
         return synchronized_profile(to - q, velocity, acceleration, acceleration).duration
-
-
-SOLUTIONS_PER_POSE = 3  # IK solutions tried per pose
-APPROACH = ("grasp", "candidate", "pre_grasp", "approach", "after_approach")
-"""Names that `approaches` provides to later stages."""
-GraspFilter = Callable[[PlanningScene], Callable[[Grasp], str]]
-"""Maps a scene to a function that returns why a grasp is unusable for later stages; empty if usable."""
-SECONDS_BESIDES = 3.0  # [s] of a pick that do not depend on the grasp (approach and closing)
 
 
 @stage_types.register("choose_grasp")

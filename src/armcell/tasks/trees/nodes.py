@@ -32,6 +32,7 @@ Recipe = Callable[[TaskContext], Outcome]
 
 _at_work: WeakKeyDictionary[TaskContext, Behaviour] = WeakKeyDictionary()
 """Node that currently moves a cell: only one at a time, because all nodes share the cell's clock."""
+Vector = tuple[float, float, float]
 
 
 class Act(Behaviour):
@@ -221,9 +222,6 @@ def reasons(root: Behaviour) -> list[str]:
 def _failed(node: Behaviour) -> bool:
     outcome = getattr(node, "outcome", None)  # composites with memory reset the status of finished children
     return node.status is Status.FAILURE if outcome is None else not outcome.ok
-
-
-Vector = tuple[float, float, float]
 
 
 def picking(ctx: TaskContext, item: str, gripper: Gripper, ahead: Sequence[Stage] = ()) -> Act:

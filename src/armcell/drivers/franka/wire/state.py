@@ -80,6 +80,9 @@ _starts = np.cumsum([0, *(n for _, n in _FIELDS)])
 FIELDS = {name: slice(int(a), int(a) + n) for (name, n), a in zip(_FIELDS, _starts, strict=False)}
 """Position of each state field in the number array."""
 _MODES = struct.Struct("<BB")  # motion generator mode, controller mode
+COMMANDS = {10: struct.Struct("<Q7d7d16d6d2dBB7dB"), 5: struct.Struct("<Q7d7d16d6d2dBB7d")}
+"""Identifier of the state it answers; q_c, dq_c, O_T_EE_c, O_dP_EE_c, elbow_c, valid elbow, motion finished,
+tau_J_d; in version 10 torque finished."""
 
 
 class StateLayout:
@@ -101,10 +104,6 @@ class StateLayout:
 STATES = {10: StateLayout(10, "f4", COUNT), 5: StateLayout(5, "f8", FIELDS["accelerometer_top"].start)}
 MAX_STATE = max(layout.size for layout in STATES.values())
 _BY_SIZE = {layout.size: layout for layout in STATES.values()}
-
-COMMANDS = {10: struct.Struct("<Q7d7d16d6d2dBB7dB"), 5: struct.Struct("<Q7d7d16d6d2dBB7d")}
-"""Identifier of the state it answers; q_c, dq_c, O_T_EE_c, O_dP_EE_c, elbow_c, valid elbow, motion finished,
-tau_J_d; in version 10 torque finished."""
 
 
 class GeneratorMode(IntEnum):

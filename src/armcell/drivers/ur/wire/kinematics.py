@@ -19,6 +19,8 @@ from armcell.drivers.ur.wire.models import UrModel
 from armcell.drivers.ur.wire.primary import Kinematics
 
 F64 = NDArray[np.float64]
+ROTOR = 0.1  # [kg m^2] approximate inertia of motor and gear, at the gear's output
+STEP = 1e-6  # [s] step of the finite differences in time
 
 
 def frames_of(dh: Kinematics, q: ArrayLike) -> F64:
@@ -149,10 +151,6 @@ def _rotation(R: F64) -> F64:
     T = np.eye(4)
     T[:3, :3] = R
     return T
-
-
-ROTOR = 0.1  # [kg m^2] approximate inertia of motor and gear, at the gear's output
-STEP = 1e-6  # [s] step of the finite differences in time
 
 
 class ArmDynamics:

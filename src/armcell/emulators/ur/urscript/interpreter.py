@@ -18,6 +18,36 @@ from typing import Any
 from armcell.core import ArmcellError
 from armcell.emulators.ur.urscript.parser import Node, ScriptError, parse
 
+_NOT_EMULATED = """
+    rpc_factory modbus_add_signal modbus_add_rtu_signal modbus_delete_signal modbus_get_signal_status
+    modbus_get_signal_index modbus_get_error_count modbus_get_time_since_signal_invalid
+    modbus_reset_connection modbus_send_custom_command modbus_set_output_register modbus_set_output_signal
+    modbus_set_runstate_dependent_choice modbus_set_signal_update_frequency modbus_set_signal_watchdog
+    modbus_set_digital_input_action
+    track_conveyor_linear track_conveyor_circular stop_conveyor_tracking conveyor_pulse_decode
+    get_conveyor_tick_count set_conveyor_tick_count encoder_enable_pulse_decode encoder_enable_set_tick_count
+    encoder_get_tick_count encoder_set_tick_count encoder_unwind_delta_tick_count path_offset_enable
+    path_offset_disable path_offset_set path_offset_get path_offset_set_alpha_filter
+    path_offset_set_max_offset screw_driving end_screw_driving
+    set_tool_communication reset_world_model add_frame attach_frame
+    convert_pose delete_frame frame_exists get_frame_children get_pose get_root_frames move_frame
+    request_boolean_from_primary_client request_float_from_primary_client
+    request_integer_from_primary_client request_string_from_primary_client
+    read_port_bit read_port_register write_port_bit write_port_register
+    set_runstate_configurable_digital_output_to_value
+    set_runstate_standard_analog_output_to_value set_runstate_standard_digital_output_to_value
+    set_runstate_tool_digital_output_to_value set_runstate_gp_boolean_output_to_value
+    set_euromap_output set_euromap_runstate_dependent_choice get_euromap_input get_euromap_output
+    set_safety_mode_transition_hardness position_deviation_warning reset_revolution_counter
+    tool_wrench_limit_set tool_wrench_limit_disable calculate_inertia_tensor collision_detection_set
+    collision_detection_disable
+"""
+NOT_EMULATED = frozenset(_NOT_EMULATED.split())
+"""Functions of real controllers that compile, but end the program with an error when called."""
+log = logging.getLogger(__name__)
+Thread = Generator[None, None, Any]
+MAX_TURNS = 20_000  # largest number of loop iterations between two control steps
+
 
 class Vec(list):
     """URScript value that is a list with item-by-item arithmetic."""
@@ -74,34 +104,6 @@ def format_value(value: Any) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(format_value(v) for v in value) + "]"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-_NOT_EMULATED = """
-    rpc_factory modbus_add_signal modbus_add_rtu_signal modbus_delete_signal modbus_get_signal_status
-    modbus_get_signal_index modbus_get_error_count modbus_get_time_since_signal_invalid
-    modbus_reset_connection modbus_send_custom_command modbus_set_output_register modbus_set_output_signal
-    modbus_set_runstate_dependent_choice modbus_set_signal_update_frequency modbus_set_signal_watchdog
-    modbus_set_digital_input_action
-    track_conveyor_linear track_conveyor_circular stop_conveyor_tracking conveyor_pulse_decode
-    get_conveyor_tick_count set_conveyor_tick_count encoder_enable_pulse_decode encoder_enable_set_tick_count
-    encoder_get_tick_count encoder_set_tick_count encoder_unwind_delta_tick_count path_offset_enable
-    path_offset_disable path_offset_set path_offset_get path_offset_set_alpha_filter
-    path_offset_set_max_offset screw_driving end_screw_driving
-    set_tool_communication reset_world_model add_frame attach_frame
-    convert_pose delete_frame frame_exists get_frame_children get_pose get_root_frames move_frame
-    request_boolean_from_primary_client request_float_from_primary_client
-    request_integer_from_primary_client request_string_from_primary_client
-    read_port_bit read_port_register write_port_bit write_port_register
-    set_runstate_configurable_digital_output_to_value
-    set_runstate_standard_analog_output_to_value set_runstate_standard_digital_output_to_value
-    set_runstate_tool_digital_output_to_value set_runstate_gp_boolean_output_to_value
-    set_euromap_output set_euromap_runstate_dependent_choice get_euromap_input get_euromap_output
-    set_safety_mode_transition_hardness position_deviation_warning reset_revolution_counter
-    tool_wrench_limit_set tool_wrench_limit_disable calculate_inertia_tensor collision_detection_set
-    collision_detection_disable
-"""
-NOT_EMULATED = frozenset(_NOT_EMULATED.split())
-"""Functions of real controllers that compile, but end the program with an error when called."""
 
 
 class _Scope:
@@ -303,12 +305,6 @@ def _not_found(name: str, place: tuple[int, int]) -> ScriptError:
     line, column = place
     reason = f"function {name!r} is not known to this controller"
     return ScriptError(reason, line, column, code=f"compile_error_name_not_found:{name}:")
-
-
-log = logging.getLogger(__name__)
-
-Thread = Generator[None, None, Any]
-MAX_TURNS = 20_000  # largest number of loop iterations between two control steps
 
 
 class ProgramError(ArmcellError):
