@@ -126,6 +126,25 @@ def _best_cut(triangles: Array) -> tuple[float, list[Array] | None]:
     return best
 
 
+def cut_corners(triangles: Array, height: Array, odd: NDArray[np.intp]) -> tuple[Array, ...]:
+    """Cut triangles (n, 3, 3) at a plane that separates one corner of each from the other two.
+
+    Args:
+        height: signed distances (n, 3) of the corners from the plane.
+        odd: index (n,) of the separated corner.
+    Returns:
+        The separated corner, the other two in the triangle's direction, and the points where the plane
+        cuts the edges from the separated corner to them, each (n, 3).
+    """
+    order = (odd[:, None] + np.arange(3)) % 3
+    tri = np.take_along_axis(triangles, order[:, :, None], axis=1)
+    h = np.take_along_axis(height, order, axis=1)
+    p, q, r = tri[:, 0], tri[:, 1], tri[:, 2]
+    pq = p + (h[:, 0] / (h[:, 0] - h[:, 1]))[:, None] * (q - p)
+    pr = p + (h[:, 0] / (h[:, 0] - h[:, 2]))[:, None] * (r - p)
+    return p, q, r, pq, pr
+
+
 def _clip(triangles: Array, axis: int, at: float, side: float) -> Array:
     """Clip triangles (n, 3, 3) at an axis-aligned plane and return those on one side (k, 3, 3),
     to decompose a mesh into convex pieces.
@@ -141,12 +160,7 @@ def _clip(triangles: Array, axis: int, at: float, side: float) -> Array:
         if len(rows) == 0:
             continue
         odd = np.argmax(above[rows] if one_above else ~above[rows], axis=1)
-        order = (odd[:, None] + np.arange(3)) % 3
-        tri = np.take_along_axis(triangles[rows], order[:, :, None], axis=1)
-        h = np.take_along_axis(height[rows], order, axis=1)
-        p, q, r = tri[:, 0], tri[:, 1], tri[:, 2]
-        pq = p + (h[:, 0] / (h[:, 0] - h[:, 1]))[:, None] * (q - p)
-        pr = p + (h[:, 0] / (h[:, 0] - h[:, 2]))[:, None] * (r - p)
+        p, q, r, pq, pr = cut_corners(triangles[rows], height[rows], odd)
         if one_above:
             parts += [np.stack([pq, q, r], 1), np.stack([pq, r, pr], 1)]
         else:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell._array_store import key_of
-from armcell.collision.convex_decomposition import convex_hull_mesh, convex_pieces, stored_pieces
+from armcell.collision.convex_decomposition import convex_hull_mesh, convex_pieces, cut_corners, stored_pieces
 from armcell.collision.winding import winding_numbers
 from armcell.core import Mesh, is_closed
 
@@ -330,12 +330,7 @@ def clip(triangles: Array, plane: Array) -> tuple[Array, Array]:
         if len(rows) == 0:
             continue
         odd = np.argmax(above[rows] if one_above else ~above[rows], axis=1)
-        order = (odd[:, None] + np.arange(3)) % 3
-        tri = np.take_along_axis(triangles[rows], order[:, :, None], axis=1)
-        h = np.take_along_axis(height[rows], order, axis=1)
-        p, q, r = tri[:, 0], tri[:, 1], tri[:, 2]
-        pq = p + (h[:, 0] / (h[:, 0] - h[:, 1]))[:, None] * (q - p)
-        pr = p + (h[:, 0] / (h[:, 0] - h[:, 2]))[:, None] * (r - p)
+        p, q, r, pq, pr = cut_corners(triangles[rows], height[rows], odd)
         if one_above:
             parts += [np.stack([pq, q, r], 1), np.stack([pq, r, pr], 1)]
             rims.append(np.stack([pr, pq], 1))

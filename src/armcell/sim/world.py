@@ -196,6 +196,13 @@ class SimWorld:
                 self._behind = False
         return self._data
 
+    @property
+    def mj_state(self) -> mujoco.MjData:
+        """Return MuJoCo's data without the update of `mj_data`: joint states and forces are current,
+        body poses may be one step old.
+        """
+        return self._data
+
     # --- time ---
     @property
     def time(self) -> float:

@@ -70,14 +70,14 @@ class FrankaPlant:
         """Return the measured joint positions [rad] and velocities [rad/s], each (7,), of the simulated
         Franka arm.
         """
-        data = self.world._data
+        data = self.world.mj_state
         return data.qpos[self._qpos] + self._offset, data.qvel[self._dofs]
 
     def torques(self) -> Array:
         """Return the joint torques (7,) [Nm] measured on the Franka plant,
         which include the weight of the links.
         """
-        data = self.world._data
+        data = self.world.mj_state
         return data.qfrc_actuator[self._dofs] + data.qfrc_gravcomp[self._dofs]
 
     def external_torques(self) -> Array:
@@ -92,7 +92,7 @@ class FrankaPlant:
         """Compute the joint torques (7,) [Nm] that accelerate the simulated Franka arm and hand as desired
         (7,) [rad/s^2], from the mass matrix.
         """
-        model, data = self.world.mj_model, self.world._data
+        model, data = self.world.mj_model, self.world.mj_state
         wanted, torque = np.zeros(model.nv), np.zeros(model.nv)
         wanted[self._dofs] = acceleration
         mujoco.mj_mulM(model, data, torque, wanted)
@@ -100,14 +100,14 @@ class FrankaPlant:
 
     def coriolis(self) -> Array:
         """Return the Coriolis and centrifugal torques (7,) [Nm] of the Franka plant in the current state."""
-        data, dofs = self.world._data, self._dofs
+        data, dofs = self.world.mj_state, self._dofs
         return data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs] - self._weight()
 
     def friction_torques(self) -> Array:
         """Return the torques (7,) [Nm] that compensate the viscous
         friction in the joints of the Franka plant.
         """
-        data, dofs = self.world._data, self._dofs
+        data, dofs = self.world.mj_state, self._dofs
         return data.qfrc_gravcomp[dofs] - data.qfrc_passive[dofs]  # MuJoCo's passive forces have both
 
     def inertia(self) -> Array:
@@ -133,7 +133,7 @@ class FrankaPlant:
         """
         jacobian = np.zeros((3, self.world.mj_model.nv))
         body = self.world.built.body[self._tip]
-        mujoco.mj_jacBodyCom(self.world.mj_model, self.world._data, jacobian, None, body)
+        mujoco.mj_jacBodyCom(self.world.mj_model, self.world.mj_state, jacobian, None, body)
         return jacobian[:, self._dofs].T @ force
 
     def load_torque(self, mass: float, center: Array) -> Array:
@@ -145,7 +145,7 @@ class FrankaPlant:
         point = np.eye(4)
         point[:3, 3] = center
         jacobian = self.kinematics.pose_and_jacobian(self.read()[0], point)[1]
-        data = self.world._data if self._fixed else self.world.mj_data
+        data = self.world.mj_state if self._fixed else self.world.mj_data
         R = data.xmat[self._base].reshape(3, 3)
         return jacobian[:3].T @ (R.T @ -np.asarray(self.world.settings.gravity) * mass)
 
@@ -182,9 +182,9 @@ class FrankaPlant:
     def step(self) -> None:
         """Advance the physics world of the Franka plant by 1 ms."""
         body = self.world.built.body[self._tip]
-        self.world._data.xfrc_applied[body, :3] = self.push
+        self.world.mj_state.xfrc_applied[body, :3] = self.push
         self._shared.advance(PERIOD)
-        data = self.world._data
+        data = self.world.mj_state
         felt = data.qfrc_constraint[self._dofs].copy()
         if self.push.any():
             felt += self._tip_torque(self.push)
