@@ -338,8 +338,7 @@ class SeparationChecker:
         return place, None
 
     def separating_until(self, points: Array, at: float) -> float:
-        """Return the position along a motion at which bodies that rested on each other at the start stop
-        moving apart.
+        """Return how far along a motion the bodies that touch at its start keep moving apart.
 
         The search starts at `at`; both positions are counted in edges. The result is the end if the pairs
         separate all the time.

@@ -218,8 +218,8 @@ class SharedWorld:
             plant.follow_reset()
 
     def advance(self, period: float) -> None:
-        """Advance the shared physics world after a control period [s] of one arm. Each of the n arms with the
-        shortest period advances the world by 1/n of the period; other arms do not advance it.
+        """Advance the shared physics world after a control period [s] of one arm. If n arms have the shortest
+        period, each of them advances the world by 1/n of this period; slower arms do not advance the world.
 
         A remainder of less than one time step is kept for later.
         """

@@ -52,8 +52,7 @@ Array = NDArray[np.float64]
 
 
 def fingerprint(*values: Any) -> str:
-    """Return a hash (32 hexadecimal digits) of the content of values, which serves as a key in the plan
-    library.
+    """Return a key for the plan library: a hash (32 hexadecimal digits) of the contents of all arguments.
 
     Equal robots, scenes and goals give equal hashes. File locations do not count.
 

@@ -187,8 +187,8 @@ class HeldObjectCorrection:
 
 
 def lag(settings: PhysicsSettings) -> float:
-    """Return the factor for computing how far a held object lags behind a hand that moves on an arc, in one
-    physics step.
+    """Return the dimensionless factor of the formula for the lag of a held object behind a hand that moves on
+    an arc.
 
     The lag per physics step dt is this factor times dt^2/2 dJ/dt v, the distance between the hand's arc and
     its tangent. J is the Jacobian of the contact, and v are the generalized velocities. The factor is 0 for

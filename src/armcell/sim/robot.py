@@ -319,8 +319,8 @@ def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
 
 
 def servo_gains(gripper: Gripper, settings: PhysicsSettings) -> tuple[float, float]:
-    """Return the gains kp and kv of a robot's gripper servo in MuJoCo.
-    They are in the unit of the gripper's driven joint.
+    """Return the gains kp and kv of a robot's gripper servo in MuJoCo. The units are N/m and N s/m for a
+    sliding driven joint, Nm/rad and Nm s/rad for a turning driven joint.
 
     The settings are those of sliding fingers; a turning joint gets the gains with the same effect there.
     """

@@ -333,9 +333,10 @@ def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_load(left: Array, kilo: Array, spread: Array, lengths: Sequence[int]) -> float:
-    """Estimate the additional mass at the flange [kg] from the current residuals in each time window, and
-    return the largest magnitude. The load threshold for comparing an arm with its twin is derived from it.
+    """Estimate the additional mass at the flange [kg] in each time window from the residuals of the motor
+    currents, and return the largest magnitude of this mass over all windows.
 
+    The load threshold for the comparison of an arm with its twin is derived from the result.
     A window contains the last SMOOTHED samples; at the start of a motion, at least FEWEST.
     """
     largest, first = 0.0, 0

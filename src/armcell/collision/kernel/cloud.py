@@ -176,8 +176,8 @@ def _local(I, F, w, state, o, g, f, mode):
 
 @inner_njit
 def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
-    """Test one sphere group of a robot body against 16 parts (spheres, cubes or triangles) of a cloud, in the
-    configuration of one SIMD lane.
+    """Test one sphere group of a robot body against 16 parts (spheres, cubes or triangles) of a cloud.
+    The robot's configuration is that of one SIMD lane.
 
     The group's bounding ball is tested before its spheres. The parts are at F[at:]. `more` is the margin that
     a gap must exceed in addition to the radius and, in a proof, to the motion in half the interval.

@@ -42,7 +42,8 @@ TOUCHING = 2e-6
 
 
 class ConvexSolid(NamedTuple):
-    """Convex solid for GJK, as one argument of the kernels: where its numbers and points are.
+    """Convex solid for GJK: its kind, and the indices of its dimensions and points in the arrays D and F that
+    the collision kernels share.
 
     Attributes:
         kind: POINTS to TRIANGLE.

@@ -24,8 +24,10 @@ def pack_json(kind: int, value: dict[str, Any]) -> bytes:
 
 
 def take_message(received: bytearray) -> tuple[int, bytes] | None:
-    """Remove the first complete message between a Franka driver and its worker process from the received
-    bytes. Return the kind and content of the message, or None if no message is complete.
+    """Remove the first complete message from a buffer of received bytes. Return the kind and content of the
+    message, or None if the buffer contains no complete message.
+
+    A Franka driver and its worker process exchange these messages.
     """
     if len(received) < _HEAD.size:
         return None

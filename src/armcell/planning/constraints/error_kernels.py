@@ -214,8 +214,8 @@ def signed_distance(n, c, shape, sizes, px, py, pz):
 
 @njit(cache=True)
 def nearest_region_shape(n, c, point, sizes, px, py, pz):
-    """Find the shape of a constraint region that is nearest to a world point, to compute the constraint's
-    error.
+    """Among the shapes that form a constraint region, find the shape that is nearest to a world point.
+    The constraint's error follows from the distance to this shape.
 
     Returns:
         The number of the shape, and the signed distance [m] from the point to this shape.

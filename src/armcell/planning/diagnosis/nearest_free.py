@@ -108,8 +108,8 @@ class PoseSearch:
         self.ik = ik_solver(scene.model, group, link, SEARCH)
 
     def reached(self, T: SE3) -> Array | None:
-        """Find a collision-free configuration (n,) that reaches a pose and is near the state of the scene, or
-        None.
+        """Return a collision-free configuration (n,) that reaches a pose and is near the scene's joint
+        positions. Return None if the search finds no such configuration.
         """
         rng = np.random.default_rng(self.seed)
         some = islice(self.ik.solutions(T, self.scene.positions, rng), SOLUTIONS)

@@ -23,10 +23,11 @@ OUTSIDE = IKSettings(seeds=60)
 
 @dataclass(frozen=True, eq=False)
 class IKBranch:
-    """Joint solution (n,) of a pose that an arm cannot reach, with the contacts and limit violations that
-    rule it out.
+    """IK solution of a requested pose, with the contacts and joint-limit violations that make the solution
+    invalid.
 
     Attributes:
+        positions: (n,) joint positions of the solution.
         contacts: contacts of the solution, including pairs within the padding.
         beyond: amount by which joints are outside their limits [rad or m].
     """

@@ -66,8 +66,8 @@ class Scope:
         self, element: Element, name: str, default: str = "", pose: Element | None = None,
         T_pose_frame: SE3 | None = None,
     ) -> None:  # fmt: skip
-        """Add a named frame to this scope, an SDF world or model. The frame belongs to one of its links,
-        joints, nested models or <frame> elements.
+        """Register a named frame of an SDF world or model. A link, a joint, a nested model or a <frame>
+        element of this world or model defines the frame.
 
         Args:
             element: the element, for error messages.

@@ -93,7 +93,7 @@ class ChoosePlacement:
 
     def _turned(self, scene: PlanningScene, placement: Placement) -> Iterator[Placement]:
         """Yield copies of a placement, each rotated about the surface normal to an angle that the arm can
-        reach. An arm with few joints reaches only few angles.
+        reach. An arm with few joints reaches only a few angles.
 
         Jaws that rotate as they close hold an object at an angle to the tool, so such an arm reaches the
         placement at few angles only.
