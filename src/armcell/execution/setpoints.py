@@ -18,7 +18,7 @@ from armcell.execution.settings import ExecutionSettings
 Array = NDArray[np.float64]
 Correction = Callable[[float, Array, Array], tuple[Array, Array]]
 
-PLAYED_AT_ONCE = 0.02  # [s] of trajectory that a driver plays per call
+PLAYED_AT_ONCE = 0.05  # [s] of trajectory that a driver plays per call, so also between two checks for a stop
 LAG = 0.06  # [s] largest lag of the measured state behind the clock of a trajectory that the robot plays
 CANCEL_TIME = 2.0  # [s] time limit for a canceled robot to come to rest
 AT_REST = 0.005  # [rad/s] speed below which a canceled robot rests
