@@ -21,6 +21,8 @@ unexport PYTHONPATH PYTHONHOME
 # Without bytecode files each of the hundreds of programs that tests start compiles 400 sources (0.3 s).
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Python compiles the modules that it imports; if pip compiles all modules, installation takes twice as long.
+PIP_INSTALL := $(PY) -m pip install --no-compile
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -74,7 +76,7 @@ test-interop: $(VENV)/.stamp ## set up, then test against ROS 1, Fast DDS, Mono,
 	@$(call debian,Mono,MONO)
 	@$(call debian,Gazebo's SDF parser,SDFORMAT)
 	@$(call debian,Chromium,CHROMIUM)
-	@$(PY) -m pip install -q -r requirements-interop.txt || echo "Franka's clients cannot be installed from here; their tests are skipped"
+	@$(PIP_INSTALL) -q -r requirements-interop.txt || echo "Franka's clients cannot be installed from here; their tests are skipped"
 	$(PY) -m pytest -m interop -rs
 
 test-long: prepare ## set up, then run the statistical tests with all their seeds and inputs (20 minutes)
@@ -129,20 +131,20 @@ clean: ## remove the environment, builds and caches (runs/ stays)
 # The development set: what test, check, lint and format need.
 $(VENV)/.stamp: $(VENV)/.stamp-run requirements.txt requirements-dev.txt pyproject.toml
 	@echo "Installing the development set (once) ..."
-	$(PY) -m pip install -q -r requirements-dev.txt
+	$(PIP_INSTALL) -q -r requirements-dev.txt
 	@touch $@
 
 # What the benchmarks compare with.
 $(VENV)/.stamp-bench: $(VENV)/.stamp requirements-bench.txt
 	@echo "Installing the planners to compare with (once) ..."
-	$(PY) -m pip install -q -r requirements-bench.txt
+	$(PIP_INSTALL) -q -r requirements-bench.txt
 	@touch $@
 
 # The run-time set: what demo needs.
 $(VENV)/.stamp-run: $(VENV)/.python requirements.txt pyproject.toml
 	@echo "Installing armcell and what it needs into $(VENV) (once; some minutes, about 1.5 GB on disk) ..."
-	$(PY) -m pip install -r requirements.txt
-	$(PY) -m pip install -q --no-deps --no-build-isolation -e .
+	$(PIP_INSTALL) -r requirements.txt
+	$(PIP_INSTALL) -q --no-deps --no-build-isolation -e .
 	@touch $@
 
 # Leaves 0 if this Python can serve, else says why not. Must run on any old Python.
