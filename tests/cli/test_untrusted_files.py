@@ -12,6 +12,7 @@ from tests.cli.helpers import call, finished, start
 
 import armcell
 from armcell.cell import script
+from armcell.cli import doctor
 from armcell.core import InputError
 from armcell.model.xacro import ALLOW_ENV
 from armcell.records import read_record
@@ -89,7 +90,8 @@ def attack(cell: Path, text: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_from_another_person_runs_nothing(cell, record, tmp_path, capsys, within):
+def test_a_robot_from_another_person_runs_nothing(cell, record, tmp_path, capsys, within, monkeypatch):
+    monkeypatch.setattr(doctor, "cache", tuple)  # reads no file of the cell, but every file of the cache
     commands = [
         ("setup", cell / "r.urdf.xacro", "-o", tmp_path / "new", "--samples", 100),
         ("check", cell),
