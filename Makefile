@@ -8,8 +8,8 @@
 VENV := .venv
 BIN  := $(VENV)/bin
 PY   := $(BIN)/python
-# Processes that run tests: two per core, since half of a test's time is waiting for an arm or a program.
-JOBS ?= $(shell echo $$((2 * $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2))))
+# Processes that run tests: three per core, since most of a test's time is waiting for an arm or a program.
+JOBS ?= $(shell echo $$((3 * $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2))))
 # Workers take neighboring tests, which share fixtures, and steal from each other at the end.
 PYTEST := $(PY) -m pytest -n $(JOBS) --dist worksteal
 TESTS := not interop and not realtime and not long
@@ -79,7 +79,7 @@ test-interop: $(VENV)/.stamp ## set up, then test against ROS 1, Fast DDS, Mono,
 	@$(PIP_INSTALL) -q -r requirements-interop.txt || echo "Franka's clients cannot be installed from here; their tests are skipped"
 	$(PY) -m pytest -m interop -rs
 
-test-long: prepare ## set up, then run the statistical tests with all their seeds and inputs (20 minutes)
+test-long: prepare ## set up, then run the expensive tests and the further seeds and cases of others (40 minutes)
 	$(PYTEST) -m "long and not interop and not realtime"
 
 test-realtime: $(VENV)/.stamp ## set up, then test emulated arms and wires that must run on time; nothing else should run meanwhile

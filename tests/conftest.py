@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -17,6 +19,26 @@ settings.load_profile("armcell")
 # What a shell starts in the background ignores Ctrl-C, its children too; some tests are about it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pycollect_makeitem(name: str) -> Generator[None, Any, Any]:
+    """Mark the cases of a parametrized test as `long` that its marker `cases` does not name.
+
+    Raises:
+        pytest.UsageError: A name matches no case; a typo would otherwise move a case to `make test-long`.
+    """
+    items = yield
+    marker = items[0].get_closest_marker("cases") if isinstance(items, list) and items else None
+    if marker is not None:
+        ids = [item.name[len(name) + 1 : -1] for item in items]
+        named = {p: [case for case in ids if case == p or fnmatchcase(case, p)] for p in marker.args}
+        if unknown := [p for p, found in named.items() if not found]:
+            raise pytest.UsageError(f"{name}: no case matches {unknown}. Cases: {ids}")
+        for item, case in zip(items, ids, strict=True):
+            if not any(case in found for found in named.values()):
+                item.add_marker(pytest.mark.long)
+    return items
 
 
 ROOT = Path(__file__).parents[1]

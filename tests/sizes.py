@@ -7,6 +7,9 @@ from typing import Any
 
 import pytest
 
+ROBOTS = ("panda", "ur10", "dual_ur10", "scara", "palletizer", "mobile_ur10", "parallel_gripper")
+"""One robot of each kind, for the marker `cases` of tests that have every robot of the library as a case."""
+
 
 def _param(value: Any, **more: Any) -> Any:
     return pytest.param(*(value if isinstance(value, tuple) else (value,)), **more)

@@ -87,6 +87,10 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
+@pytest.mark.cases(
+    "file open to all", "folder open to all", "link", "another user's file", "another user's folder above"
+)
 @pytest.mark.parametrize("change", CHANGES)
 def test_kernels_that_another_user_may_have_written_are_not_used(caches, monkeypatch, caplog, change):
     if "another user" in change and os.geteuid() != 0:

@@ -46,6 +46,7 @@ def test_a_program_sees_what_it_sees_in_a_new_interpreter(tmp_path, words):
     assert (forked.stdout, forked.stderr) == (new.stdout, new.stderr) and new.stdout
 
 
+@pytest.mark.cases("import sys; *", "1 / 0", "import atexit*", "import os; os._exit(7)")
 @pytest.mark.parametrize(
     "code",
     [

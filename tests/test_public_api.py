@@ -15,6 +15,7 @@ def test_every_public_name_can_be_imported(name):
     assert name in dir(armcell)
 
 
+@pytest.mark.slow
 def test_subpackages_need_no_import_of_their_own():
     code = "import armcell; print(armcell.planning.plan.__name__, armcell.scene.PlanningScene.__name__)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -99,6 +99,7 @@ def test_without_problems_the_lines_say_where_they_are_expected(tmp_path, capsys
     assert sum("MBM=/path" in verdict for verdict in verdicts) == 8
 
 
+@pytest.mark.long
 def test_memory_with_a_cloud():
     found = memory.measure()
     assert found["points"] == 200_000 and 0 < found["mb"] <= 300 and found["build_ms"] < 1000

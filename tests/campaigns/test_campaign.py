@@ -45,7 +45,7 @@ def unbroken(spec: CampaignSpec, root: Path, workers: int = 2) -> list[dict]:
     return table(store.folder)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_table_does_not_depend_on_workers_and_has_both_outcomes(quick, tmp_path):
     spec = CampaignSpec(quick, VARIED, trials=60, sampling="adaptive")
     one, two = unbroken(spec, tmp_path / "a", 1), unbroken(spec, tmp_path / "b", 3)
@@ -55,7 +55,7 @@ def test_the_table_does_not_depend_on_workers_and_has_both_outcomes(quick, tmp_p
     assert all(row["error_name"] and row["message"] for row in one if not row["success"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_workers_and_the_head_are_killed_at_random_moments(quick, tmp_path):
     """No trial is lost, none counted twice, and the table is that of an unbroken campaign."""
     spec = CampaignSpec(quick, VARIED, trials=60)
@@ -117,7 +117,7 @@ def workers_of(pid: int) -> list[int]:
         return []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_worker_that_dies_or_hangs(quick, tmp_path, monkeypatch):
     """Its trial is tried three times, then it is a failure with its cause; the others go on."""
     site = tmp_path / "site"
@@ -150,12 +150,12 @@ def test_workers_that_die_as_they_start(quick, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", f"{site}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     store = begin(CampaignSpec(quick, trials=6), tmp_path)
     with pytest.raises(InputError, match="status 9 as they start.*armcell check"):
-        run(store, 2)
+        run(store, 1)
     assert store.rows == {}
     monkeypatch.undo()
     Path(quick).write_text("robot: nobody\n")  # changed after the look at it
     with pytest.raises(InputError, match="a worker says: .*nobody"):
-        run(store, 2)
+        run(store, 1)
     store.close()
 
 
@@ -266,7 +266,8 @@ def test_the_command(quick, tmp_path, capsys, monkeypatch):
     )
     monkeypatch.chdir(tmp_path)
     name = Path(quick).name
-    said = call(capsys, "campaign", name, *options, "--runs", tmp_path, "--json", tmp_path / "s.json")
+    runs = ("--workers", 1, "--runs", tmp_path, "--json", tmp_path / "s.json")
+    said = call(capsys, "campaign", name, *options, *runs)
     monkeypatch.chdir("/")  # its commands work in any folder
     data = read_json(tmp_path / "s.json")
     assert said.status == 1 and f"{data['success']['count']} of 30 succeeded" in said.out
@@ -298,7 +299,7 @@ def test_the_command(quick, tmp_path, capsys, monkeypatch):
     assert "what differs: parameters, seed" in call(capsys, "campaign", "--compare", folder, other.folder).out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_leaves_nothing_running(quick, tmp_path):
     process = start("campaign", quick, "--trials", 100000, "--workers", 2, "--runs", tmp_path)
     deadline = time.monotonic() + 90

@@ -73,6 +73,7 @@ def test_enough_is_what_the_exact_interval_says(cell, tmp_path):
             assert not file.exists() and (bad or "72 trials without a failure" in str(said.value))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -199,6 +200,7 @@ def test_versions_and_forgery(cell, tmp_path, monkeypatch):
 SAME = NOD.replace("randomize: {cube: {dx: [-0.01, 0.01], yaw_deg: [-20, 20]}}\n", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "drawn", "varied"),
     [
@@ -286,9 +288,9 @@ def test_real_arms_ask_for_it(tmp_path, capsys):
         assert said.status == 1 and "has not been shown to work in simulation" in said.err
         assert "armcell gate" in said.err and "--without-gate" in said.err
         assert call(capsys, *run, "--without-gate", " ").status == 1
-        said = call(capsys, "gate", cell, "--trials", 20, "--runs", tmp_path / "runs")
+        said = call(capsys, "gate", cell, "--trials", 20, "--workers", 1, "--runs", tmp_path / "runs")
         assert said.status == 1 and "20 of 20 succeeded, which is at least 83.2%" in said.err
-        said = call(capsys, "gate", cell, "--trials", 72, "--runs", tmp_path / "runs")
+        said = call(capsys, "gate", cell, "--trials", 72, "--workers", 1, "--runs", tmp_path / "runs")
         assert said.status == 0 and "72 of 72 succeeded: at least 95.0%" in said.out
         assert call(capsys, *run).status == 0
         assert read_json(out)["gate"]["campaign"]["trials"] == 72

@@ -14,6 +14,7 @@ from armcell.core import InputError
 
 
 @pytest.mark.slow
+@pytest.mark.cases("data0*", "data1*", "data2*", "data5*")
 @pytest.mark.parametrize(
     ("data", "reference"),
     [

@@ -98,7 +98,7 @@ def test_what_the_cell_draws_itself_is_looked_at_too():
     assert parameter_plots(some, ["randomize.box.dy", "given"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_nothing_matters_in_nineteen_of_twenty():
     """With 5 parameters that do nothing, one of them is called an effect in about 5 % of campaigns."""
     rng = np.random.default_rng(2)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.model.helpers import PinRobot, pin_library, random_positions
+from tests.sizes import ROBOTS
 
 import armcell
 from armcell.cell import load, run_task
@@ -71,6 +72,8 @@ def solved(model: RobotModel, group: str, count: int) -> float:
     return found / count
 
 
+@pytest.mark.slow
+@pytest.mark.cases(*ROBOTS, "ur10_rail")
 def test_forward_kinematics_is_pinocchio_s(model):
     tree, rng = kinematic_tree(model), np.random.default_rng(0)
     reference = PinRobot(pin_library(_folder(model)), model)
@@ -81,6 +84,7 @@ def test_forward_kinematics_is_pinocchio_s(model):
             np.testing.assert_allclose(T, reference.pose(name), atol=1e-10, err_msg=name)
 
 
+@pytest.mark.slow
 def test_inverse_kinematics_reaches_every_pose(model):
     for group in arms(model):
         assert solved(model, group, POSES) == 1.0, group
@@ -92,6 +96,8 @@ def test_inverse_kinematics_of_many_poses(model):
         assert solved(model, group, MANY) >= SOLVED, group
 
 
+@pytest.mark.slow
+@pytest.mark.cases(*ROBOTS, "iiwa14", "xarm7", "ur10_rail")
 def test_a_plan_reaches_a_pose(model):
     tree, rng = kinematic_tree(model), np.random.default_rng(1)
     scene = PlanningScene.of(model)
@@ -111,6 +117,7 @@ def test_a_plan_reaches_a_pose(model):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda", "ur10_suction", "ur10_rail", "scara", "z1", "xarm6", "iiwa14", "parallel_gripper")
 @pytest.mark.parametrize("name", robot_names())
 def test_a_new_cell_runs(name, tmp_path):
     """The cell of `armcell new`: a pick and place in physics if the arm has a gripper, else moves."""

@@ -116,7 +116,7 @@ def test_things_whose_poses_are_known_are_refused():
         live.clear("bin", **CALL)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_things_are_moved_to_the_tray():
     with two_things().connect("sim", seed=0) as live:
         outcome = live.clear("bin", **CALL)
@@ -125,7 +125,7 @@ def test_two_things_are_moved_to_the_tray():
         assert live.driver.unwanted_contacts() == [] and live.driver.welds() == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_dropped_on_the_way_is_found_again():
     with two_things().connect("sim", seed=0) as live:
         fingers = live.model.gripper()
@@ -141,7 +141,7 @@ def test_what_is_dropped_on_the_way_is_found_again():
         assert live.driver.unwanted_contacts() == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_taken_away_before_the_hand_closes_is_a_miss_and_no_more():
     with two_things().connect("sim", seed=0) as live:
         world = live.driver.world
@@ -158,7 +158,7 @@ def test_what_is_taken_away_before_the_hand_closes_is_a_miss_and_no_more():
         assert any("nothing" in text for text in notes(live, "note"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_frozen_camera_ends_it_with_its_reason():
     with two_things().connect("sim", seed=0) as live:
         live.cameras["above_bin"].image(rgb=False)
@@ -172,7 +172,7 @@ def test_a_frozen_camera_ends_it_with_its_reason():
         assert outcome.evidence["cleared"] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_no_hand_fits_around_is_left_with_a_reason():
     plate = library_object("box", sizes={"length": 0.16, "width": 0.15, "height": 0.03})
     cell = with_things(box_1=(0.70, -0.32, 0.2195))
@@ -231,7 +231,7 @@ def test_what_lies_where_no_camera_looks_is_told():
         assert [outcome.evidence[k] for k in ("cleared", "left", "beside")] == [0, 0, 1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("count", "seed"), seeds(1, [(5, 0), (20, 0), (20, 5)]))
 def test_mixed_things(count, seed):
     cell = with_some(count)

@@ -129,6 +129,7 @@ def test_a_pushed_arm_gives_way_by_its_gains(cell, reference):
         np.testing.assert_allclose(moved[:7] - start, torque / kp, atol=3e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "values", [{"disturbances.latency": 0.05}, {"disturbances.joint_offset_deg.panda_joint2": 2.0}]
 )
@@ -155,7 +156,7 @@ def yawed(angle, T):
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ T.rotation.matrix
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_moved_stands_elsewhere_in_physics_only():
     cell = load("panda_pick")
     moved = with_values(

@@ -116,6 +116,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("more", "error", "words"), WRONG.values(), ids=WRONG)
 def test_wrong_composites(tmp_path, more, error, words):
     with pytest.raises(error, match=words) as raised:

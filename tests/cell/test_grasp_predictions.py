@@ -50,7 +50,7 @@ def pebble(tmp_path_factory):
     return item, on_table(item), grasp_candidates(item, hand_of(MODEL, GRIPPER))[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_robot_goes_where_the_object_is_believed_to_be(cube):
     item, scene, grasps = cube
     as_believed = simulate_pick(scene, item, GRIPPER, grasps[0], SETTINGS, 0.5)
@@ -87,7 +87,7 @@ def test_physics_has_the_true_friction_and_mass(cube):
         assert held is not None and not held.firmly
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_poor_grasp_gets_a_low_p_and_fails_where_a_good_one_holds(pebble):
     item, scene, grasps = pebble
     proofs = prove_grasps(MODEL, GRIPPER, item, distinct_grasps(grasps, 40), SETTINGS.proof_trials)

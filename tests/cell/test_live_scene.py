@@ -91,6 +91,7 @@ def touched(cell: LiveCell, item: CollisionObject, states: list) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["sim", "fake"])
 def test_an_obstacle_across_the_rest_stops_the_arm_before_it(mode):
     with live(mode) as cell:
@@ -131,6 +132,7 @@ SHAPES = [
 ]  # fmt: skip
 
 
+@pytest.mark.cases("*-new", "Box-*")
 @pytest.mark.parametrize("way", ["new", "moved", "changed"])
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
 def test_every_shape_counts_new_moved_or_changed(shape, way):
@@ -293,6 +295,7 @@ class ComesBeforeTheHand(Meanwhile):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("lift")
 @pytest.mark.parametrize("stage", ["move to pre-grasp", "approach", "lift", "move to pre-place", "lower"])
 def test_transfer_goes_around_what_comes_during_any_of_its_motions(stage):
     with live("sim") as cell:

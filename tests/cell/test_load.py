@@ -47,6 +47,8 @@ def test_both_cells_of_the_issue_are_there_with_a_description():
     assert all(c.description for c in built_in_cells())
 
 
+@pytest.mark.slow
+@pytest.mark.cases("*-0")
 @pytest.mark.parametrize("seed", [None, 0, 1, 2, 3, 4])
 def test_the_start_touches_nothing(built_in, seed):
     scene = built_in.scene(seed)
@@ -134,7 +136,8 @@ def cube_cell(request):
 @pytest.mark.slow
 def test_a_seed_s_draw_is_its_own_and_in_range(cube_cell):
     draws = [cube_cell.draw(seed) for seed in range(50)]
-    assert draws == [armcell.load(cube_cell.name).draw(seed) for seed in range(50)]
+    again = armcell.load(cube_cell.name)
+    assert draws[::-1] == [again.draw(seed) for seed in reversed(range(50))]
     for name, spec in cube_cell.spec.randomize.items():
         for key, limits in spec.model_dump(exclude_none=True).items():
             values = [draw[name][key] for draw in draws]

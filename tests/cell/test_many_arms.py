@@ -37,6 +37,7 @@ def test_its_arms_are_apart_at_home(name):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("three_ur5_table")
 def test_it_is_checked_and_planned(name, capsys):
     assert call(capsys, "check", name).status == 0
     for group in (f"{CELLS[name][-1]}_arm", "all_arms"):
@@ -52,7 +53,7 @@ def test_the_view_offers_each_arm_and_all(name):
     assert set(session.state_names) == {"home", "up"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("mode", ["fake", "sim"])
 def test_its_task_succeeds(name, mode):
     cell, watch = load(name), Watch()

@@ -10,6 +10,7 @@ from armcell.cell import run_task
 
 
 @pytest.mark.slow
+@pytest.mark.cases("*-0")
 @pytest.mark.parametrize("seed", seeds(3, range(10)))
 @pytest.mark.parametrize("name", ["panda_pick", "six_axis_pick"])
 def test_every_seed_succeeds(name, seed):

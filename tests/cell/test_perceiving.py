@@ -30,6 +30,7 @@ def test_nobody_knows_where_the_cube_is_before_a_look(cell):
         assert 0 < position < 0.002 and np.rad2deg(angle) < 2.0  # near, and not the truth itself
 
 
+@pytest.mark.long
 def test_a_cube_that_is_hidden_or_a_camera_that_fails_ends_the_task(cell):
     with cell.connect(seed=2) as live:
         live.driver.world.set_object_pose("cube", SE3.from_xyz(3, 3, 0.1))
@@ -44,6 +45,7 @@ def test_a_cube_that_is_hidden_or_a_camera_that_fails_ends_the_task(cell):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0")
 @pytest.mark.parametrize("seed", seeds(2, range(5)))
 def test_picked_and_placed_where_the_camera_says(cell, seed):
     with cell.connect(seed=seed) as live:

@@ -2,12 +2,15 @@
 
 import logging
 
+import pytest
+
 from armcell.cell import load, pictures
 from armcell.core import Event
 
 END = Event(1.0, "stage", "lift", {"phase": "end"})
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_without_pictures_where_none_can_be_drawn(monkeypatch, caplog):
     taken, tries = [], []
 

@@ -88,7 +88,7 @@ def renderer_of(live):
     return live.camera("top").renderer
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pictures_of_physics_are_those_of_take_image_bit_for_bit(cell, process):
     with cell.connect(seed=3) as live:
         world = live.driver.world
@@ -111,7 +111,7 @@ def test_pictures_of_physics_are_those_of_take_image_bit_for_bit(cell, process):
         assert image.rgb is None and image.depth is not None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pictures_of_a_robot_without_physics_too(cell, process):
     with cell.connect("fake") as live:
         setup = RenderSetup(live.scene_at_start)
@@ -146,7 +146,7 @@ def test_a_picture_shows_the_moment_of_its_stamp(cell, nothing_is_drawn_here):
         assert not got[0].T_world_camera.isclose(got[-1].T_world_camera, 0.05, 0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_step_draws_or_waits_for_streams_watches_frames_or_key_moments(cell, nothing_is_drawn_here):
     with cell.connect(time_scale=FAST) as live:
         bus, taken = Bus(), []
@@ -207,7 +207,7 @@ def test_a_look_lets_time_pass_while_it_is_drawn(tmp_path, nothing_is_drawn_here
         assert live.camera("top").take(live.ctx.advance).rgb is not None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_octomap_of_a_paced_cell_follows(tmp_path, nothing_is_drawn_here):
     (tmp_path / "cell.yaml").write_text(CELL.replace("width: 96, height: 72", "width: 160, height: 120"))
     with load(tmp_path).connect(time_scale=1.0) as live:
@@ -224,7 +224,7 @@ def test_the_octomap_of_a_paced_cell_follows(tmp_path, nothing_is_drawn_here):
             os.kill(renderer_of(live).pid, signal.SIGCONT)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_renderer_that_dies_is_started_again_and_motions_go_on(cell, caplog):
     with cell.connect(time_scale=FAST) as live:
         got, camera = [], live.camera("top")
@@ -243,6 +243,7 @@ def test_a_renderer_that_dies_is_started_again_and_motions_go_on(cell, caplog):
         os.kill(last, 0)
 
 
+@pytest.mark.slow
 def test_a_renderer_that_cannot_work_is_given_up_with_a_warning(cell, caplog, monkeypatch):
     monkeypatch.setattr(render_process, "WORKER", "armcell.no_such_worker")
     with cell.connect(time_scale=FAST) as live:
@@ -255,7 +256,7 @@ def test_a_renderer_that_cannot_work_is_given_up_with_a_warning(cell, caplog, mo
         assert live.arm.move_to("extended")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_key_moments_that_wait_are_drawn_when_the_cell_is_closed(cell):
     taken = []
     with cell.connect(time_scale=FAST) as live:
@@ -316,6 +317,7 @@ def test_the_newest_state_is_drawn_and_cameras_take_turns(cell, monkeypatch):
         go += [1] * 10
 
 
+@pytest.mark.slow
 def test_in_lock_step_pictures_are_drawn_at_once(cell):
     with cell.connect() as live:
         got = []

@@ -38,6 +38,7 @@ def run(request):
     return armcell.load(name), mode, perform(armcell.load(name), mode, 3)
 
 
+@pytest.mark.slow
 def test_says_what_the_issue_asks_for(run):
     cell, mode, result = run
     assert result["success"] and result["error_code"] == 1 and result["error_name"] == "SUCCESS"
@@ -70,6 +71,7 @@ def without_wall_times(value):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda_pick-sim")
 @pytest.mark.parametrize(("name", "mode"), [("panda_pick", "sim"), ("six_axis_pick", "sim")])
 def test_two_processes_give_the_same_bytes(name, mode):
     asked = [
@@ -100,6 +102,7 @@ def edited(tmp_path, *changes: tuple[str, str]):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("hybrid")
 @pytest.mark.parametrize("mode", ["weld", "hybrid"])
 def test_grip_modes_report_their_welds(tmp_path, mode):
     cell = edited(
@@ -174,6 +177,7 @@ def test_after_a_stop_nothing_moves_before_resume():
         assert live.arm.move_to("extended").ok
 
 
+@pytest.mark.slow
 def test_transfer_in_a_file_picks_up_again_what_was_lost(tmp_path):
     """And turns it as the file says."""
     head, task, _ = FILE.read_text().partition("task:")

@@ -62,6 +62,7 @@ def small_arm(folder: Path, name: str = "small") -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_ignored_pairs_never_touch_or_always(name, tmp_path, proposed):
     write_cell(proposed(name), tmp_path / "cell")
@@ -138,7 +139,7 @@ def test_a_gripper_measured_on_the_meshes_is_the_library_s(proposed):
     assert found.finger_depth == pytest.approx(known.finger_depth, abs=5e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "file", [SHARED / "so101/Simulation/SO101/so101_new_calib.urdf", EXAMPLES / "z1_description/urdf/z1.urdf"]
 )
@@ -157,7 +158,7 @@ def test_one_moving_jaw_picks_and_places(file, tmp_path):
     assert result["unwanted_contacts"] == [] and result["welds"] == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_arms_in_one_go(tmp_path):
     file = ROBOTS["ur10"]
     parts = [UrdfPart(file, "left_", (0, 0.6, 0)), UrdfPart(file, "right_", (0, -0.6, 0), (0, 0, 90))]

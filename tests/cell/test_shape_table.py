@@ -212,7 +212,7 @@ def test_sdf(name, tmp_path):
     assert_same(shape, made(name))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_package_s_shape_collides_like_its_mesh():
     shape = make_shape(WEDGE, (0.2, 0.1, 0.1))
     assert isinstance(shape, SizedMesh) and trimesh.Trimesh(shape.vertices, shape.faces).is_watertight

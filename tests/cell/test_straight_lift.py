@@ -17,6 +17,7 @@ CELLS = {  # an object of each cell whose objects rest on a surface; on a belt n
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda_pick", "panda_table", "dual_ur10_rod")
 @pytest.mark.parametrize(("name", "item"), CELLS.items(), ids=CELLS)
 def test_the_whole_line_is_planned_and_executed(name, item):
     cell = load(name)

@@ -24,6 +24,7 @@ def run(mode: str, seed: int) -> tuple[dict, dict[str, float]]:
     return result, away
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", ("sim", "fake"))
 def test_the_cell_places_four_objects_and_refuses_two(mode):
     result, away = run(mode, 0)
@@ -40,7 +41,7 @@ def test_the_cell_places_four_objects_and_refuses_two(mode):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seeds", sizes(3, 20))
 def test_nearly_every_seed_succeeds(seeds):
     results = [run("sim", seed) for seed in range(seeds)]

@@ -27,6 +27,7 @@ def test_the_ur10e_without_meshes_has_the_controller_s_kinematics():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0")
 @pytest.mark.parametrize("seed", range(4))
 def test_the_bar_goes_from_hand_to_hand_into_the_tray(seed):
     cell = load(CELL)

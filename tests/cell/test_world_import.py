@@ -106,6 +106,7 @@ def test_a_cell_that_has_the_name_already_is_left_alone(tmp_path):
         add_to_cell(load_sdf(SEED).objects, tmp_path / "no.yaml")
 
 
+@pytest.mark.slow
 def test_the_command(capsys, tmp_path):
     numbers, cell = tmp_path / "n.json", tmp_path / "c.yaml"
     said = call(capsys, "import", SEED, "--json", numbers)

@@ -80,6 +80,7 @@ def test_it_times_and_writes_paths_that_touch_nothing(tmp_path):
     assert not all(judge.is_free(HOME + t * np.subtract(OVER, HOME)) for t in np.linspace(0, 1, 200))
 
 
+@pytest.mark.slow
 def test_an_unreachable_goal_is_not_solved(tmp_path, capsys):
     """A peg between a sliding finger and its free goal."""
     peg = {**WALL, "position": [0.0, 0.03, 0.12], "size": [0.004] * 3, "quat_xyzw": [0, 0, 0, 1]}
@@ -155,6 +156,7 @@ needs_mbm = pytest.mark.skipif(not MBM.is_dir(), reason=f"the problems are expec
 
 @needs_mbm
 @pytest.mark.slow
+@pytest.mark.cases("native")
 @pytest.mark.parametrize("planner", ["native", "ompl/RRTConnect"])
 def test_public_problems(tmp_path, planner):
     """Two problems of each family; every row has the same fields and every path is free."""
@@ -176,7 +178,7 @@ def test_public_problems(tmp_path, planner):
 
 
 @needs_mbm
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_arms_of_a_baxter(tmp_path):
     """Fourteen joints; goals in which a finger touches the shelf are said, and the rest can be planned."""
     file, out = MBM / "mbm_baxter.json.gz", tmp_path / "out.json"
@@ -196,7 +198,7 @@ def test_both_arms_of_a_baxter(tmp_path):
     assert any(row["solved"] for row in rows) and any("touching" in row for row in rows)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_arms_are_planned_as_one(tmp_path):
     """The generated problems are the same for the same seed, and their paths touch nothing."""
 

@@ -19,6 +19,10 @@ def cell_with(cube: str, more: str = "", task: str = "task: [{pick: cube}]\n") -
 GOOD = "box: [0.05, 0.05, 0.05], pose: [0.5, 0, 0.024], movable: true"
 
 
+@pytest.mark.slow
+@pytest.mark.cases(
+    "panda_pick", "dual_ur10_rod", "suction_pick", "bin_clearing", "conveyor_pick", "six_axis_camera"
+)
 @pytest.mark.parametrize("name", cell_names())
 def test_the_built_in_cells_are_sound(capsys, tmp_path, name):
     said = call(capsys, "check", name, "--json", tmp_path / "found.json")
@@ -51,6 +55,7 @@ UNSOUND = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("text", "looked_at", "found"), UNSOUND.values(), ids=UNSOUND)
 def test_an_unsound_cell_is_status_1_with_the_reason(capsys, tmp_path, text, looked_at, found):
     said = call(capsys, "check", cell_file(tmp_path, text), "--json", tmp_path / "found.json")
@@ -60,6 +65,7 @@ def test_an_unsound_cell_is_status_1_with_the_reason(capsys, tmp_path, text, loo
     assert found in said.words
 
 
+@pytest.mark.slow
 def test_several_things_wrong_are_all_told(capsys, tmp_path):
     text = cell_with(
         "box: [0.15, 0.15, 0.15], pose: [0.5, 0, 0.05], movable: true",
@@ -85,6 +91,7 @@ POSES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pose", "reachable", "reason"), POSES.values(), ids=POSES)
 def test_explain_a_pose(capsys, tmp_path, pose, reachable, reason):
     said = call(capsys, "explain", "panda_pick", "--pose", *pose, "--json", tmp_path / "why.json")
@@ -104,6 +111,7 @@ def test_explain_a_pose(capsys, tmp_path, pose, reachable, reason):
         assert evidence["position_error_m"] > 1.5
 
 
+@pytest.mark.slow
 def test_explain_the_orientation_counts(capsys):
     """Pointing up, 5 cm above the table, the hand would be in the table."""
     pose = ("--pose", "0.45", "-0.4", "0.05")
@@ -111,6 +119,7 @@ def test_explain_the_orientation_counts(capsys):
     assert call(capsys, "explain", "panda_pick", *pose, "--rpy-deg", "0", "0", "0").status == 1
 
 
+@pytest.mark.slow
 def test_explain_a_pick(capsys, tmp_path):
     said = call(capsys, "explain", "panda_pick", "--pick", "cube", "--json", tmp_path / "why.json")
     assert said.status == 0
@@ -134,6 +143,7 @@ def test_explain_a_pick_of_a_fixed_object(capsys):
     assert said.status == 1 and "fixed" in said.out + said.err
 
 
+@pytest.mark.slow
 def test_explain_another_draw(capsys, tmp_path):
     for seed in (0, 1):
         call(

@@ -64,6 +64,7 @@ def test_a_cache_that_cannot_be_written(capsys, tmp_path, monkeypatch):
     assert found["cache folder"]["verdict"] == "no" and "ARMCELL_CACHE_DIR" in found["cache folder"]["found"]
 
 
+@pytest.mark.slow
 def test_a_package_that_is_missing(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(doctor, "NEEDED", ("numpy", "no-such-package"))
     found = lines(capsys, tmp_path)
@@ -132,6 +133,7 @@ def hinge(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("6.0-no-147%")
 @pytest.mark.parametrize(("mass", "verdict", "share"), [(2.0, "ok", "49%"), (6.0, "no", "147%")])
 def test_a_drive_that_is_too_weak(capsys, tmp_path, hinge, mass, verdict, share):
     """20 Nm hold m * 9.81 * 0.5 m: 2 kg take 49 % of them, 6 kg 147 %."""
@@ -159,6 +161,7 @@ def test_step_and_drives_are_told_apart(capsys, tmp_path, hinge, physics, check,
         assert lines(capsys, tmp_path, file)[check]["verdict"] == "ok"
 
 
+@pytest.mark.slow
 def test_a_mesh_that_is_missing(capsys, tmp_path, hinge):
     mesh = '<visual><geometry><mesh filename="package://gone/arm.stl"/></geometry></visual>'
     found = lines(capsys, tmp_path, hinge(1.0, mesh))

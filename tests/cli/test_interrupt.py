@@ -129,6 +129,7 @@ runpy.run_module("armcell", run_name="__main__")
 
 
 @pytest.mark.slow
+@pytest.mark.cases("lxml.etree", "typer")
 @pytest.mark.parametrize(
     "module",
     [

@@ -123,6 +123,7 @@ SERVERS = {
 }  # fmt: skip
 
 
+@pytest.mark.cases("setup --web", "emulate", "*-controller")
 @pytest.mark.parametrize(("count", "command"), SERVERS.values(), ids=SERVERS)
 def test_what_a_server_prints_is_what_it_listens_on(count, command, tmp_path):
     with running(*command(tmp_path)) as (process, lines):
@@ -132,6 +133,7 @@ def test_what_a_server_prints_is_what_it_listens_on(count, command, tmp_path):
         assert all(port for _, _, port in told)
 
 
+@pytest.mark.long
 def test_serve_opens_all_its_wires_when_the_cell_is_ready_and_prints_them(master):
     """ROS 2 is left out where cyclonedds is not installed."""
     dds = importlib.util.find_spec("cyclonedds") is not None

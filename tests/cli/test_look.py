@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 from PIL import Image
 from tests.cli.helpers import call
 
@@ -21,6 +22,7 @@ markers:
 """
 
 
+@pytest.mark.slow
 def test_a_cell_and_the_files_of_its_picture(tmp_path, capsys):
     (tmp_path / "cell.yaml").write_text(CELL)
     said = call(
@@ -39,6 +41,7 @@ def test_a_cell_and_the_files_of_its_picture(tmp_path, capsys):
     np.testing.assert_allclose(box["size"], 0.05, atol=0.003)
 
 
+@pytest.mark.slow
 def test_markers_of_a_cell(tmp_path, capsys):
     (tmp_path / "cell.yaml").write_text(CELL)
     said = call(
@@ -50,6 +53,7 @@ def test_markers_of_a_cell(tmp_path, capsys):
     np.testing.assert_allclose(tag["position"], [0.8, -0.1, 0.0005], atol=0.002)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_seen_is_one_line_with_a_cure(tmp_path, capsys):
     (tmp_path / "cell.yaml").write_text(CELL)
 

@@ -1,5 +1,6 @@
 """`armcell msg`."""
 
+import pytest
 from tests.cli.helpers import call
 
 
@@ -29,6 +30,7 @@ def test_generate_with_own_definitions(tmp_path, capsys):
     assert "force: float" in (tmp_path / "py" / "my_msgs" / "msg.py").read_text()
 
 
+@pytest.mark.slow
 def test_mistakes_are_one_line(tmp_path, capsys):
     for arguments, reason in (
         (["show", "sensor_msgs/JointStat"], "did you mean"),

@@ -27,6 +27,8 @@ def quiet(done: subprocess.CompletedProcess[str]) -> None:
         assert trace not in done.stdout + done.stderr, done
 
 
+@pytest.mark.slow
+@pytest.mark.cases("A cells >&--0-", "A cells >/dev/full-1-*")
 @pytest.mark.parametrize(
     ("command", "status", "says"),
     [
@@ -104,6 +106,7 @@ task: [{move: extended}]
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "environment",
     [
@@ -124,13 +127,14 @@ def test_terminals_without_every_character(environment, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("run")
 @pytest.mark.parametrize("command", ["run", "campaign"])
 def test_a_run_in_an_ascii_locale(command, tmp_path):
     """Cell files, records, reports and campaign folders are UTF-8, whatever the terminal is."""
     file = cell_file(tmp_path, NOT_ASCII)
-    trials = "--trials 2 --workers 1" if command == "campaign" else ""
+    more = "--trials 2 --workers 1" if command == "campaign" else "--mode fake"
     done = shell(
-        f"A {command} {file} {trials} --runs {tmp_path}/läufe --json {tmp_path}/r.json",
+        f"A {command} {file} {more} --runs {tmp_path}/läufe --json {tmp_path}/r.json",
         LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0",
     )  # fmt: skip
     quiet(done)

@@ -31,6 +31,7 @@ GOALS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS.values(), ids=GOALS)
 def test_a_plan_is_free_and_its_numbers_are_right(capsys, tmp_path, scene, goal):
     said = call(capsys, "plan", "panda_pick", *goal, "--json", tmp_path / "plan.json")
@@ -55,6 +56,7 @@ def test_where_it_ends(capsys, tmp_path, scene):
     assert there.frame_pose("panda_hand_tcp").translation == pytest.approx([0.5, 0.2, 0.3], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_plan_that_fails_says_why_and_what_would_help(capsys, tmp_path):
     pose = ("--pose", "0.55", "0.06", "0.2")
     said = call(capsys, "plan", "panda_pick", *pose, "--json", tmp_path / "p.json")
@@ -127,7 +129,7 @@ def test_a_state_out_of_limits(capsys, tmp_path):
     assert margins["panda_joint4"] == pytest.approx(-0.0698 - np.deg2rad(10), abs=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 # --- explain ---
 def test_explain_a_line_that_stops(capsys, tmp_path):
     said = call(
@@ -181,6 +183,7 @@ INPUT = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "words"), INPUT.values(), ids=INPUT)
 def test_wrong_input_is_status_1_and_lists_what_exists(capsys, arguments, words):
     said = call(capsys, *arguments)

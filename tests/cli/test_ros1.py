@@ -69,7 +69,7 @@ def test_serve_topics_and_services(master, capsys):
             server.communicate(timeout=30)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_script_and_its_cell_in_a_graph(master, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(

@@ -63,6 +63,7 @@ def test_without_headless_a_folder_with_report_numbers_and_record(capsys, here):
     assert record.startswith(b"\x89MCAP0\r\n") and record.endswith(b"\x89MCAP0\r\n")
 
 
+@pytest.mark.slow
 def test_the_report_needs_no_network(capsys, here):
     call(capsys, "run", cell_file(here), *FAKE)
     (report,) = here.glob("runs/*/report.html")
@@ -73,7 +74,7 @@ def test_the_report_needs_no_network(capsys, here):
     assert "move to extended" in page
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_in_physics_the_report_has_pictures(capsys, here):
     assert call(capsys, "run", "panda_pick", "--seed", "1").status == 0
     (report,) = here.glob("runs/*/report.html")
@@ -83,6 +84,7 @@ def test_in_physics_the_report_has_pictures(capsys, here):
     assert len({data for _, data in pictures}) > 5
 
 
+@pytest.mark.slow
 def test_runs_names_the_folder_and_two_runs_have_two(capsys, here):
     file = cell_file(here)
     for _ in range(2):
@@ -90,6 +92,7 @@ def test_runs_names_the_folder_and_two_runs_have_two(capsys, here):
     assert len(list((here / "kept").iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_json(capsys, here, monkeypatch):
     texts = []
     for name in ("a.json", "b.json"):
@@ -138,6 +141,7 @@ def test_a_run_that_cannot_begin_leaves_no_folder(capsys, here):
     assert not list(here.glob("runs/*"))
 
 
+@pytest.mark.slow
 def test_a_task_that_turns_out_impossible_is_reported_like_any_failure(capsys, here):
     text = (
         "robot: panda\nstart: {arm: home, hand: open}\nobjects:\n"
@@ -152,6 +156,7 @@ def test_a_task_that_turns_out_impossible_is_reported_like_any_failure(capsys, h
     assert list(here.glob("runs/*/report.html"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_on_a_full_disk_the_result_is_shown_and_what_is_missing_is_named(capsys, here, monkeypatch):
     folder = here / "runs" / "run"

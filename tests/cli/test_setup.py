@@ -35,6 +35,7 @@ def test_help_teaches(capsys):
         assert word in said.out
 
 
+@pytest.mark.slow
 def test_a_cell_that_check_and_run_accept(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     said = call(capsys, "setup", small_arm(tmp_path), "-o", tmp_path / "cell", *QUICK)
@@ -45,6 +46,8 @@ def test_a_cell_that_check_and_run_accept(capsys, tmp_path, monkeypatch):
     assert said.status == 0, said.err
 
 
+@pytest.mark.slow
+@pytest.mark.cases("two robots", "a package without poses")
 @pytest.mark.parametrize("kind", ["one robot", "two robots", "a package", "a package without poses"])
 def test_the_commands_that_the_help_ends_with_work_on_a_fresh_cell(capsys, tmp_path, monkeypatch, kind):
     lines = call(capsys, "setup", "--help").out.split("Then:")[-1].split("\n")
@@ -133,6 +136,7 @@ def jaws_robot(folder, second='<axis xyz="0 -1 0"/><mimic joint="left_finger"/>'
     return file
 
 
+@pytest.mark.slow
 def test_a_gripper_is_shown_as_numbers_and_as_a_picture(capsys, tmp_path):
     said = call(capsys, "setup", jaws_robot(tmp_path), "-o", tmp_path / "cell", *QUICK)
     assert said.status == 0, said.err

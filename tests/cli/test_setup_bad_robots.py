@@ -130,6 +130,7 @@ WARNED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("elements", "words"), WARNED.values(), ids=WARNED)
 def test_a_fault_with_which_the_arm_can_still_move(setup, elements, words):
     said = setup(robot(*elements))

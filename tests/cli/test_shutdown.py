@@ -97,6 +97,7 @@ print(lost)
 """
 
 
+@pytest.mark.slow
 def test_a_signal_that_python_swallows_is_not_lost():
     done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=120)
     assert done.stdout == "[]\n" and done.stderr == ""
@@ -119,6 +120,7 @@ main()
 
 
 @pytest.mark.slow
+@pytest.mark.cases("2")
 @pytest.mark.parametrize("number", [TERM, INT])
 def test_a_command_interrupted_in_a_garbage_collection(number):
     code = IN_A_CALLBACK.format(number=int(number))
@@ -150,6 +152,7 @@ i.end()
     assert (done.stdout, done.returncode) == ("whole\nrested True\n", 143)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("handler", ["ignore", "own"])
 def test_a_program_that_uses_armcell_keeps_its_handlers(handler):
     code = f"""
@@ -330,6 +333,7 @@ def test_run_while_the_arm_moves(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("2")
 @pytest.mark.parametrize("number", [TERM, INT])
 def test_serve_on_all_wires_while_the_arm_moves(number, graph, tmp_path):
     port = free_port()
@@ -355,7 +359,7 @@ def test_serve_on_all_wires_while_the_arm_moves(number, graph, tmp_path):
     assert velocities is not None and abs(velocities).max() < 0.02  # [rad/s] of 0.25
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sim_as_a_ros1_node(graph, tmp_path):
     with running("sim", "panda_pick", "--ros1", "--no-own-master", "--runs", tmp_path) as command:
         command.until("ROS 1: node /armcell_sim")
@@ -397,6 +401,7 @@ while True:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("sleep-15", "deaf-2")
 @pytest.mark.parametrize("number", [TERM, INT])
 @pytest.mark.parametrize(
     ("script", "ready", "after"),
@@ -436,7 +441,7 @@ URDF = (
 )  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pages_end_and_free_their_ports(tmp_path):
     """The three at once: each spends its time in loading."""
     finished(start("run", cell_file(tmp_path), "--runs", tmp_path / "runs"), 120)
@@ -464,7 +469,7 @@ def test_pages_end_and_free_their_ports(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_campaign_leaves_no_worker_and_can_be_resumed(tmp_path):
     cell = cell_file(tmp_path)
     runs = tmp_path / "runs"

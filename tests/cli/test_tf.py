@@ -42,6 +42,8 @@ def ros2(bus, monkeypatch):
         yield "--ros2", "--domain", "207"
 
 
+@pytest.mark.slow
+@pytest.mark.cases("tcp")
 @pytest.mark.parametrize("wire", ["tcp", "ros1", "ros2"])
 def test_the_tree_of_a_served_cell(request, capsys, wire):
     where = request.getfixturevalue(wire)

@@ -196,6 +196,7 @@ def test_a_record_from_another_person_is_named_as_one(cell, record, tmp_path, ca
     assert "another user's record" in caplog.text
 
 
+@pytest.mark.slow
 def test_armcell_s_own_cells_are_not_announced(caplog, monkeypatch):
     monkeypatch.setattr(script, "_announced", set())
     caplog.set_level(logging.INFO)

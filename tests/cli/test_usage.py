@@ -65,6 +65,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", WRONG.values(), ids=WRONG)
 def test_wrong_usage_is_status_2(capsys, arguments):
     said = call(capsys, *arguments)
@@ -78,6 +79,7 @@ def test_wrong_usage_names_the_option_and_a_near_one(capsys):
 
 
 # --- wrong input: status 1, one line on standard error, nothing on standard output ---
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

@@ -83,6 +83,7 @@ def _distance_of(checker: ExactChecker, pair: frozenset[str]) -> float:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda")
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_contacts_and_distances_agree(robot):
     touched, free = check_agreement(robot, scenes=6, poses=8, seed=0)
@@ -119,6 +120,7 @@ def surface_points(model, spacing: float) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda")
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_no_sampled_point_is_nearer_than_the_nearest_distance(robot):
     """Formulas for points and primitives, no collision library: an upper bound that must be close."""

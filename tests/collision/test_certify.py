@@ -68,6 +68,8 @@ def check_refutation(judge: ExactChecker, ways: np.ndarray, certificate, near: f
     assert any(judge.nearest(q, cutoff=near) is not None for q in densely(ways)), ways.tolist()
 
 
+@pytest.mark.slow
+@pytest.mark.cases("*-KernelChecker", "panda-0.25-ExactChecker")
 @each_prover
 @pytest.mark.parametrize(("robot", "reach"), [("panda", 0.25), ("ur10_gripper", 0.25), ("panda", 1.5)])
 def test_random_motions_among_random_obstacles(prover, robot, reach):
@@ -82,6 +84,7 @@ def test_random_motions_among_random_obstacles(prover, robot, reach):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("few-*-panda-*")
 @each_prover
 @pytest.mark.parametrize("robot", ["panda", "ur10_gripper"])
 @pytest.mark.parametrize("reach", [0.1, 0.4, 1.5])
@@ -96,6 +99,7 @@ def test_random_motions_with_a_held_box(prover, robot, reach, scenes, paths):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("KernelChecker")
 @each_prover
 def test_two_arms(prover):
     free, not_free = check_soundness(prover, PlanningScene.of(dual()), np.random.default_rng(2), 20, 0.4)
@@ -110,6 +114,7 @@ def swing(prover, plate: CollisionObject | None, turn: float = 1.5):
     return checker, np.vstack([end * (-1, 1, 1, 1, 1, 1), end])
 
 
+@pytest.mark.slow
 @each_prover
 @pytest.mark.parametrize("thickness", [1e-3, 1e-4])
 @pytest.mark.parametrize("turn", [0.5, 1.5, 1.5707])
@@ -124,6 +129,7 @@ def test_a_thin_plate_between_far_ends_is_found(prover, thickness, turn):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("KernelChecker")
 @each_prover
 def test_a_bead_is_found(prover):
     checker, ways = swing(prover, CollisionObject.single("bead", Sphere(1e-3), SE3.from_xyz(0.9, 0.01, 0.22)))

@@ -115,6 +115,7 @@ CLOUDS = {
 
 
 @pytest.mark.slow
+@pytest.mark.cases("none-*", "one-*", "few-*", "many-*", "the same *", "no cells-*", "one cell-*")
 @pytest.mark.parametrize("pads", [{}, {"padding": 0.02}], ids=str)
 @pytest.mark.parametrize("T", [SE3.identity(), TILTED], ids=["upright", "tilted"])
 @pytest.mark.parametrize("name", CLOUDS)
@@ -187,6 +188,7 @@ class BareMeshes:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("ur10_gripper-points", "panda-cells")
 @pytest.mark.parametrize("kind", ["points", "cells"])
 @pytest.mark.parametrize("robot", ["panda", "ur10_gripper"])
 def test_robots_among_parts(robot, kind):
@@ -251,6 +253,8 @@ MESHES = {
 }
 
 
+@pytest.mark.slow
+@pytest.mark.cases("L-*", "bin-*", "sheet-*", "torus-upright-{}")
 @pytest.mark.parametrize("pads", [{}, {"padding": 0.02}], ids=str)
 @pytest.mark.parametrize("T", [SE3.from_xyz(0.0, 0.0, -0.25), TILTED], ids=["upright", "tilted"])
 @pytest.mark.parametrize("name", MESHES)
@@ -306,6 +310,7 @@ def test_a_robot_reaches_into_a_bin():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("mesh", "points")
 # --- proofs ---
 @pytest.mark.parametrize("kind", ["points", "cells", "mesh"])
 def test_what_is_proven_is_free(kind):

@@ -77,6 +77,8 @@ def _own_cache(tmp_path, monkeypatch):
     object_decomposition.object_pieces.cache_clear()
 
 
+@pytest.mark.slow
+@pytest.mark.cases("tube", "torus", "bin", "bracket")
 @pytest.mark.parametrize("name", SOLIDS)
 def test_pieces_hold_the_mesh_and_little_more(name):
     solid = SOLIDS[name]
@@ -95,6 +97,7 @@ def test_a_bin_of_plane_walls_is_exact():
     assert volume(pieces) == pytest.approx(bin_of().volume, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_cavities_stay_free():
     grid = np.array(
         [
@@ -127,6 +130,7 @@ def test_an_open_mesh_is_divided_by_axis_aligned_cuts():
     assert 1 <= len(object_decomposition.object_pieces(open_mesh)) <= 12
 
 
+@pytest.mark.slow
 def test_the_pieces_come_from_the_disk_the_second_time(monkeypatch):
     first = object_decomposition.object_pieces(mesh_of(cup()))
     object_decomposition.object_pieces.cache_clear()
@@ -147,6 +151,7 @@ def test_the_budget_counts_work_and_its_end_is_reported(monkeypatch, caplog):
     assert "the mesh" in caplog.text and "cm3" in caplog.text
 
 
+@pytest.mark.slow
 def test_a_dimple_stays_free_however_small_its_volume():
     """The stem cavity of an apple: 2 % of the volume, but a finger fits in."""
     turn = np.linspace(-np.pi / 2, 1.25, 24)

@@ -87,6 +87,7 @@ def test_a_certified_distance_is_the_clearance():
     assert checker.certify(path).free  # the distance is forgotten
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nearer", [0.0, 0.9 * DISPLACED, 2.0 * DISPLACED])
 def test_what_came_nearer_than_planned_is_found(nearer):
     """An object beside the path in the plan's scene, and in the measured one just in the path or not."""

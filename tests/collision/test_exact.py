@@ -209,6 +209,8 @@ def test_contacts_are_sorted_and_one_per_pair():
     assert all(isinstance(c, Contact) and c.distance <= 0 for c in found)
 
 
+@pytest.mark.slow
+@pytest.mark.cases("0.3-*")
 @pytest.mark.parametrize("depth", [1e-4, 5e-4, 1e-3, 2e-3, 4e-3])
 @pytest.mark.parametrize("turn", [0.0, 0.3, 0.7])
 def test_a_mesh_is_as_deep_as_its_deepest_triangle(depth, turn):

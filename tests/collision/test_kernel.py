@@ -40,6 +40,7 @@ def compare(scene: PlanningScene, configurations, names=None, excess: float = 0.
     return seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pads", PADS, ids=str)
 @pytest.mark.parametrize("name", AT_ONE)
 def test_every_shape(name, pads):
@@ -76,6 +77,8 @@ def scenes():
     }
 
 
+@pytest.mark.slow
+@pytest.mark.cases("alone", "holding", "allowed", "one of two arms")
 @pytest.mark.parametrize("name", scenes())
 def test_random_configurations(name):
     scene, names = scenes()[name]
@@ -101,7 +104,7 @@ def test_edges_at_samples():
     assert not kernel.edge_is_free([0.0], [0.81])  # the end counts
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_held_crate_is_ready_in_time(tmp_path, monkeypatch):
     """A planner asked for an answer in 5 s has none to spare for covers."""
     crate = box("crate", (0.3, 0.25, 0.2), (0.307, 0.0, 0.35))

@@ -117,6 +117,7 @@ ROBOTS = [
 
 
 @pytest.mark.slow
+@pytest.mark.cases("dual", "panda", "ur10_gripper", "ur10", "in_series", "forked")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_it_is_never_below_the_measured_motion(name):
     scene, names = scene_of(name)

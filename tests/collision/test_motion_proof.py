@@ -32,6 +32,7 @@ def at(trajectory: JointTrajectory, passed: float) -> PlanningScene:
     return SCENE.with_state(JointState(NAMES, trajectory.sample(passed)[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["linear", "quintic"])
 def test_the_first_contact_is_where_sampling_finds_it(kind):
     way, exact = motion(kind), ExactChecker(SCENE, NAMES)
@@ -117,6 +118,7 @@ def touching(
     )
 
 
+@pytest.mark.slow
 def test_motions_beside_each_other_agree_with_coal(pair):
     scene, left, right = pair
     rng = np.random.default_rng(0)

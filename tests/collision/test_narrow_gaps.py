@@ -20,7 +20,7 @@ def _surface(link: Link) -> np.ndarray:
     return link.collisions[0].T_link_shape.apply(points)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_upper_arm_of_a_ur5_passes_its_base():
     urdf = MBM / "ur5" / "ur5.urdf"
     if not urdf.exists():

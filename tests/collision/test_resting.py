@@ -183,6 +183,7 @@ def test_clearance_counts_the_pair_from_where_it_no_longer_moves_apart():
 
 # --- properties ---
 @pytest.mark.slow
+@pytest.mark.cases("0")
 @pytest.mark.parametrize("seed", seeds(3, range(6)))
 def test_what_is_proven_keeps_the_rule_at_dense_samples(seed):
     """Random motions of a gantry among boxes, judged by coal; both verdicts have to occur."""

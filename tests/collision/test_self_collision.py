@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.model.helpers import random_positions
-from tests.sizes import sizes
+from tests.sizes import ROBOTS, sizes
 
 from armcell.collision import ExactChecker, disabled_collision_pairs
 from armcell.model import installed_robots, load_robot
@@ -15,6 +15,7 @@ from armcell.scene import PlanningScene
 
 
 @pytest.mark.slow
+@pytest.mark.cases("ur10_gripper-few", "panda-few", "dual_ur10-few", "scara-few", "palletizer-few", "ur5-few")
 @pytest.mark.parametrize("samples", sizes(500, 5000))
 @pytest.mark.parametrize("name", installed_robots())
 def test_pairs_that_never_touch_do_not(name, samples):
@@ -30,6 +31,7 @@ def test_pairs_that_never_touch_do_not(name, samples):
         assert checker.is_free(q), checker.contacts(q)
 
 
+@pytest.mark.cases(*ROBOTS, "ur10_rail")
 @pytest.mark.parametrize("name", installed_robots())
 def test_the_default_state_is_free(name):
     model = load_robot(name)
@@ -37,6 +39,7 @@ def test_the_default_state_is_free(name):
     assert ExactChecker(scene).contacts(scene.positions) == []
 
 
+@pytest.mark.cases(*ROBOTS, "ur10_rail")
 @pytest.mark.parametrize("name", installed_robots())
 def test_named_states_are_free(name):
     model = load_robot(name)
@@ -47,6 +50,7 @@ def test_named_states_are_free(name):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda-few", "panda_ur10e-few", "scara-few", "palletizer-few", "ur5-few", "z1-few")
 @pytest.mark.parametrize("samples", sizes(60, 300))
 @pytest.mark.parametrize("name", installed_robots())
 def test_sampling_anew_finds_the_srdf_s_pairs(name, samples):
@@ -59,7 +63,7 @@ def test_sampling_anew_finds_the_srdf_s_pairs(name, samples):
         assert (found[pair] == "Adjacent") == (reason == "Adjacent")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_pairs():
     model = load_robot("ur10")
     seen = []

@@ -36,6 +36,7 @@ def link_surfaces(scene: PlanningScene) -> list[trimesh.Trimesh]:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("ur10-0.02")
 @pytest.mark.parametrize("padding", [0.0, 0.02])
 @pytest.mark.parametrize("robot", [panda, ur10])
 def test_the_robots_own_points(robot, padding):
@@ -78,6 +79,7 @@ SHAPES = [Box(0.2, 0.1, 0.3), Sphere(0.1), Cylinder(0.1, 0.3), Capsule(0.08, 0.2
           mesh_of(trimesh.creation.box((0.2, 0.1, 0.3)))]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
 def test_held_and_named_objects(shape):
     """Against signed distance formulas, for something held and for something that stands there."""

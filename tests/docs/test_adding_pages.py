@@ -33,6 +33,7 @@ def test_every_page_is_in_the_navigation():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("adding_a_wire")
 @pytest.mark.parametrize("page", sorted(set(PAGES) - OWN_TEST))
 def test_the_steps_work(page, tmp_path):
     text = (DOCS / f"{page}.md").read_text()

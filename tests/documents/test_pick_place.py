@@ -90,6 +90,7 @@ LAST_PLAN = ("contact_points", "5.2")
 SPEED = ("arm.set_max_acceleration_scaling", "在真实")
 
 
+@pytest.mark.slow
 def test_the_table_and_the_obstacle_are_in_the_scene_and_planned_around(tmp_path):
     after = """
 objects = scene.get_objects(["table", "obstacle"])
@@ -202,7 +203,7 @@ assert arm.go(turned(0.3))
     assert slow.status == 0 == fast.status, slow.said + fast.said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_sequence_of_single_steps_lifts_the_object(tmp_path):
     """Pre-grasp, straight approach with three arguments, fingers closed by their group; then a lift."""
     steps = part(*BEFORE) + part(*APPROACH) + part(*CLOSE)
@@ -251,6 +252,7 @@ def test_a_pick_that_fails_ends_the_task_with_its_message(tmp_path):
     assert ran.status == 0 and "Pick failed!" in ran.said and "went on" not in ran.said, ran.said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", ["arm.stop()", "rospy.sleep(0.5)", "arm.remember_joint_values('here')"])
 def test_calls_of_the_tips_end_at_once(tmp_path, call):
     motion = "arm.go(turned(0.3), wait=False)\n"

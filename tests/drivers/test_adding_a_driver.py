@@ -61,7 +61,7 @@ def test_a_package_s_driver_is_found_by_its_entry_point_and_only_when_asked_for(
     assert done.stdout.strip() == "my_robot ['fake', 'my_robot', 'real', 'sim']"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_package_that_fails_to_load_is_named_and_hides_no_other(site, tmp_path):
     (tmp_path / "broken_robot.py").write_text("import not_there_at_all\n")
     info = tmp_path / "broken_robot-0.1.dist-info"
@@ -74,7 +74,7 @@ def test_a_package_that_fails_to_load_is_named_and_hides_no_other(site, tmp_path
     assert "broken-robot 0.1" in done.stderr and "not_there_at_all" in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_page_s_driver_passes_the_contract_of_every_driver(site):
     done = python(site, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "my_robot",
                   "tests/drivers/test_drivers.py", "tests/drivers/test_proxy.py")  # fmt: skip
@@ -83,7 +83,7 @@ def test_the_page_s_driver_passes_the_contract_of_every_driver(site):
     assert passed and int(passed[1]) >= 20, done.stdout[-500:]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cell_runs_in_the_page_s_mode(site):
     done = python(
         site, "-m", "armcell", "run", "panda_pick", "--mode", "my_robot", "--seed", "0", "--headless"

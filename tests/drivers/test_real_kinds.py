@@ -63,6 +63,7 @@ def test_each_installed_kind_has_a_rig():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("*-own")
 @backends
 def test_the_contract_of_a_real_arm(kind, backend):
     try:
@@ -191,6 +192,7 @@ def test_another_serial_number_is_another_robot(kind):
             pass
 
 
+@pytest.mark.cases("ur", "toy")
 @kinds
 def test_the_vendor_s_part_of_the_bring_up(kind):
     with RIGS[kind]() as rig:

@@ -104,6 +104,8 @@ def test_the_robots_refusal_is_the_result(free):
     assert outcome.code is ErrorCode.CONTROL_FAILED and "outside its limits" in outcome.message
 
 
+@pytest.mark.slow
+@pytest.mark.cases("sim-hold", "fake-cancel", "sim-stop")
 @pytest.mark.parametrize("how", ["cancel", "stop", "hold"])
 def test_a_stop_holds_the_arm_on_its_path(free, how):
     wanted = swing(0.5, 4.0)
@@ -119,6 +121,7 @@ def test_a_stop_holds_the_arm_on_its_path(free, how):
     np.testing.assert_allclose(at(free), rest, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["fake", "sim"])
 def test_a_held_object_comes_along(mode):
     with remote(mode, scene()) as driver:

@@ -44,6 +44,7 @@ def test_the_controller_with_the_shortest_period_drives_the_time(rack):
     assert world.time - begun == pytest.approx(0.1) and ur.robot.time - ur_begun == pytest.approx(0.1)
 
 
+@pytest.mark.slow
 def test_each_controller_moves_its_own_arm(rack):
     franka, ur = rack.controllers
     q_franka, q_ur = franka.robot.q.copy(), ur.robot.plant.read()[0].copy()

@@ -199,7 +199,7 @@ def test_09_keep_upright(printed):
     assert "START_STATE_VIOLATES_PATH_CONSTRAINTS: start violates the path constraints: " in said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_08_why_not(printed):
     said = printed("08_why_not.py")
     assert said.startswith("GOAL_IN_COLLISION: ") and "panda_hand touches wall" in said
@@ -234,7 +234,7 @@ def test_07_requests_and_pipelines(printed):
     assert re.search(r"repaired: .* touches plate .* the motion begins at the (actual|repaired) start", said)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_06_set_up_a_robot(printed):
     said = printed("06_set_up_a_robot.py")
     assert "group arm: 6 joints to tool0, states: home, ready" in said
@@ -299,7 +299,7 @@ def test_14_prove_a_grasp(printed):
     assert len(known) == 3 and known[0] >= known[2]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_15_find_and_pick_by_camera(printed):
     said = printed("15_find_and_pick_by_camera.py")
     assert all(f"  {kind}_1: at " in said for kind in ("box", "cylinder", "sphere"))
@@ -315,7 +315,7 @@ def test_15_find_and_pick_by_camera(printed):
     assert "look: SUCCESS" in said and "pick: SUCCESS" in said and "place: SUCCESS" in said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_16_live_octomap(printed):
     said = printed("16_live_octomap.py")
     assert "to the left: SUCCESS" in said and "to the right: MOTION_PLAN_INVALIDATED" in said
@@ -390,7 +390,7 @@ def test_24_two_programs_over_ros_tcp(printed):
     assert number(r"goal: ([\d.]+) rad", said) < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_27_ros1(printed):
     said = printed("27_ros1.py")
     assert number(r"robot: node /robot offers (\d+) topics", said) >= 10
@@ -399,7 +399,7 @@ def test_27_ros1(printed):
     assert number(r"panda_joint1 moved by ([\d.]+) rad", said) == pytest.approx(0.5, abs=0.005)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_29_campaign(printed):
     said = printed("29_campaign.py")
     assert number(r"(\d+) of 40 succeed", said) < 40
@@ -417,7 +417,7 @@ def test_30_replay_and_compare(printed):
     assert "some states are left; it is cut off" in said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_31_gate(printed):
     lines = printed("31_gate.py").splitlines()
     assert len(lines) == 3 and lines[0].startswith("gate: closed: cell 'lamp' has not been shown to work")
@@ -425,7 +425,7 @@ def test_31_gate(printed):
     assert "changed since: objects.lamp" in lines[2]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_25_moveit_commander_script(tmp_path):
     command = [sys.executable, "-m", "armcell", "run", str(EXAMPLES / "25_moveit_commander_script.py")]
     process = programs.run(
@@ -455,7 +455,7 @@ def test_26_grasp_server(printed):
     assert "unwanted contacts: 0" in said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_28_ros2(printed):
     pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install 'armcell[ros2]')")
     said = printed("28_ros2.py")
@@ -490,7 +490,7 @@ def test_21_carry_together(printed):
     assert number(r"lies ([\d.]+) mm", text) <= 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_17_clear_a_bin(printed):
     text = printed("17_clear_a_bin.py")
     known = re.search(r"the planner knows: (.*)", text).group(1)
@@ -529,7 +529,7 @@ def test_37_behaviour_tree(printed):
     assert "dot: digraph" in text and "FAILURE pick wall: object 'wall' is fixed" in text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_38_laid_down_in_between(printed):
     text = printed("38_laid_down_in_between.py")
     assert "with one grasp: PLANNING_FAILED" in text

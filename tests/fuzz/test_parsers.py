@@ -45,6 +45,7 @@ def test_what_was_found_stays_fixed(name, number, tmp_path):
         assert wire
 
 
+@pytest.mark.slow
 def test_every_seed_is_taken(tmp_path):
     """Damaging what is refused anyway would show little. The gate record alone is refused: it is unsigned."""
     for name, target in parsers.targets().items():
@@ -86,7 +87,7 @@ targets["trials"] = parsers.Target("trials", "trials.jsonl", targets["trials"].s
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_crashes_hangs_and_hunger_are_found_and_kept(tmp_path, monkeypatch):
     """By a parser that has all four faults, in the process that takes the inputs."""
     (tmp_path / "sitecustomize.py").write_text(
@@ -118,7 +119,7 @@ def test_a_kept_input_is_given_again_by_one_command(tmp_path):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_short_run_over_every_parser_finds_nothing(tmp_path):
     report = files.fuzz_parsers(list(parsers.targets()), QUICK, 5, Path(tmp_path))
     assert [f"{f.target} {f.number}: {f.words}" for f in report.faults] == []

@@ -47,7 +47,7 @@ def test_a_crash_is_found(monkeypatch):
     assert any("a fault of ours" in fault for fault in report.faults)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_decoder_that_says_another_thing_is_found(monkeypatch):
     from armcell.ros.codec import Codec
 
@@ -57,7 +57,7 @@ def test_a_decoder_that_says_another_thing_is_found(monkeypatch):
     assert fuzzing.fuzz(frames=500, seed=1, seconds=20).faults
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_short_run_over_everything_finds_nothing():
     report = fuzzing.fuzz(frames=3000, seed=4)
     assert report.faults == []

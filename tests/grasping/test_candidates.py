@@ -63,6 +63,8 @@ def straddles(grasp, item) -> bool:
     return across.max() < grasp.opening / 2 and across.min() > -grasp.opening / 2
 
 
+@pytest.mark.slow
+@pytest.mark.cases("panda-*")
 def test_open_fingers_are_around_the_object(item, gripper, hand):
     grasps, _ = grasp_candidates(item, hand)
     assert grasps
@@ -82,6 +84,7 @@ def test_frames_are_right_handed_with_the_tcp_inside_the_object(item, gripper, h
         assert np.all(at > low - 1e-9) and np.all(at < high + 1e-9), grasp.name
 
 
+@pytest.mark.slow
 def test_fingers_reach_no_deeper_than_they_are_long(item, gripper, hand):
     for grasp in grasp_candidates(item, hand)[0]:
         depth = (
@@ -191,6 +194,7 @@ def held(mass: float, friction: float):
     return solid(Box(0.05, 0.05, 0.05), mass=mass, material=Material(friction))
 
 
+@pytest.mark.slow
 def test_force_grows_with_mass_and_falls_with_friction(hand):
     def force(mass: float, friction: float) -> float:
         return grasp_candidates(held(mass, friction), hand)[0][0].force
@@ -232,6 +236,8 @@ def closing_points(grasp, points: np.ndarray, hand) -> np.ndarray:
     return at[np.all((at[:, [0, 2]] > low) & (at[:, [0, 2]] < high), axis=1) & (np.abs(at[:, 1]) < 0.06)]
 
 
+@pytest.mark.slow
+@pytest.mark.cases("panda-l_bracket", "panda-bottle", "ur10_gripper-mug", "ur10_gripper-bolt")
 @pytest.mark.parametrize("kind", ["mug", "l_bracket", "bolt", "bottle"])
 def test_antipodal_grasps_are_around_what_they_hold_and_clear_of_the_support(kind, hand):
     """Looked at with trimesh's own samples of the same solids, not with those the generator used."""
@@ -269,6 +275,8 @@ def wide_ball(tmp_path, hand):
     return mesh_object("ball", tmp_path / "ball.obj", material=Material(0.5))
 
 
+@pytest.mark.slow
+@pytest.mark.cases("panda")
 def test_sampling_goes_on_until_the_surface_is_covered_or_the_score_converges(wide_ball, hand):
     easy = library_object("mug")
     many, _ = grasp_candidates(easy, hand)
@@ -279,6 +287,7 @@ def test_sampling_goes_on_until_the_surface_is_covered_or_the_score_converges(wi
     assert [g.name for g in few] == [g.name for g in grasp_candidates(wide_ball, hand)[0]]
 
 
+@pytest.mark.cases("panda")
 def test_no_grasp_says_what_was_tried(hand, tmp_path):
     ball = trimesh.creation.icosphere(subdivisions=4, radius=hand.gripper.max_width)
     ball.export(tmp_path / "ball.obj")
@@ -301,6 +310,8 @@ def test_a_mug_is_also_held_by_its_wall(hand):
     assert min(widths) < 0.009 and max(widths) > 0.05
 
 
+@pytest.mark.slow
+@pytest.mark.cases("panda")
 def test_contacts_face_each_other_within_friction(hand, tmp_path):
     torus = trimesh.creation.torus(0.045, 0.012)
     torus.export(tmp_path / "ring.obj")
@@ -316,6 +327,7 @@ def test_contacts_face_each_other_within_friction(hand, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("ur10_gripper")
 def test_a_cloud_is_held_like_the_thing_it_was_seen_on(hand):
     """Points of a box seen from above and one side, a little noisy: held across a side that fits."""
     rng = np.random.default_rng(0)
@@ -330,6 +342,7 @@ def test_a_cloud_is_held_like_the_thing_it_was_seen_on(hand):
         assert grasp.width == pytest.approx(0.05, abs=0.012)
 
 
+@pytest.mark.slow
 def test_the_same_again_is_remembered(hand, monkeypatch):
     item = library_object("bottle")
     first = grasp_candidates(item, hand)[0]

@@ -53,6 +53,8 @@ def item(request):
     return ITEMS[request.param]
 
 
+@pytest.mark.slow
+@pytest.mark.cases("*-tray")
 def test_the_bottom_lies_on_the_surface_inside_the_edges(item, on):
     support, height, inside = on
     surface_z = support.T_world_object.translation[2] + height
@@ -151,6 +153,7 @@ def test_an_object_beside_its_origin_stays_inside_the_edges():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("cube-tray", "slab-tray", "off its origin-tray")
 def test_a_turned_placement_keeps_its_center_and_stays_inside_the_edges(item, on):
     support, height, inside = on
     surface_z = support.T_world_object.translation[2] + height

@@ -48,6 +48,7 @@ def pinch(tilt: float = 0.0, radius: float = 0.005, along: float = 0.01) -> tupl
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0.35")
 @pytest.mark.parametrize("tilt", [0.0, 0.2, 0.35])
 def test_epsilon_is_the_least_wrench_by_linear_programs(tilt):
     wrenches = contact_wrenches(pinch(tilt), np.zeros(3), 0.04, Material(0.5))

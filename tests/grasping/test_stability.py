@@ -24,6 +24,7 @@ def settles(items: list[CollisionObject], seconds: float = 1.0) -> list[tuple[fl
     return [item.T_world_object.distance_to(world.object_pose(item.name)) for item in items]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["box", "can", "bottle", "mug", "l_bracket", "bolt"])
 def test_an_object_stays_on_each_side_it_is_said_to_stand_on(kind):
     item = library_object(kind)

@@ -69,6 +69,7 @@ def test_every_cup_of_a_grasp_is_inside_a_face_and_the_hand_outside_the_object(h
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0.8")
 @pytest.mark.parametrize("share", (0.8, 1.25))
 def test_a_cylinder_s_side_seals_while_the_lip_closes_the_gap(hand, gripper, share):
     ring, limit = gripper.cups[0].radius + RIM, REACH * gripper.cups[0].stroke
@@ -90,6 +91,7 @@ def _cylinder(radius: float, length: float):
     return np.array(made.vertices), np.array(made.faces, dtype=np.int32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "refused"), [(0.98, False), (1.02, True)])
 def test_the_load_with_its_safety_factor_must_stay_below_the_vacuum(hand, gripper, share, refused):
     force = sum(map(gripper.force, gripper.cups))
@@ -102,6 +104,7 @@ def test_the_load_with_its_safety_factor_must_stay_below_the_vacuum(hand, grippe
         assert f"the vacuum of 2 cups pulls {force:.0f} N" in miss(rejected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "refused"), [(0.95, False), (1.05, True)])
 def test_a_side_grasp_needs_friction(hand, gripper, share, refused):
     force, friction = sum(map(gripper.force, gripper.cups)), 0.4
@@ -143,7 +146,7 @@ def test_a_hole_under_a_cup_leaks(hand):
             assert abs(grasp.T_object_tcp.apply(contact.point)[0]) > 0.005 + 0.018, grasp.name
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_result_does_not_depend_on_earlier_calls(hand):
     box = item(Box(0.1, 0.09, 0.08))
     first = [(g.name, g.score) for g in grasp_candidates(box, hand)[0]]

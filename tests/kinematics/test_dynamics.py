@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from tests.model.helpers import REFERENCES, PinRobot, random_positions
+from tests.sizes import ROBOTS
 
 from armcell.core import SE3, InputError, UnknownNameError
 from armcell.kinematics import InverseDynamics, kinematic_tree
@@ -47,6 +48,7 @@ def random_states(model, rng, count=10):
 
 
 @pytest.mark.slow
+@pytest.mark.cases(*ROBOTS, "tiago_dual")
 @pytest.mark.parametrize("name", REFERENCES)
 def test_torques_are_pinocchio_s(name):
     model, reference = REFERENCES[name]()

@@ -45,6 +45,7 @@ def check(ik: NumericIK, target: SE3, result, reference: np.ndarray) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda")
 @pytest.mark.parametrize("robot", ["panda", "ur10"])
 def test_a_thousand_poses_against_pinocchio(robot):
     """Poses by pinocchio's forward kinematics; every one solved from far away, and pinocchio agrees."""
@@ -63,6 +64,7 @@ def test_a_thousand_poses_against_pinocchio(robot):
         np.testing.assert_allclose(pin.pose(ik.tip_link), target.matrix, atol=3e-6)
 
 
+@pytest.mark.long
 def test_the_compiled_function_finds_all_of_a_thousand():
     ik = NumericIK(load_robot("panda"), "arm")
     chain, seeds, home = ik.chain_data.chain, ik.chain_data.seeds, ik.model.default_positions()

@@ -8,6 +8,7 @@ import pytest
 from tests.model.helpers import EXAMPLES, REFERENCES, PinRobot, chain_of, dual, model_of, random_positions
 from tests.model.helpers import joint as j
 from tests.model.helpers import link as l
+from tests.sizes import ROBOTS
 
 from armcell.core import SE3, SO3, InputError, UnknownNameError
 from armcell.kinematics import KinematicTree, kinematic_tree
@@ -22,6 +23,8 @@ def pair(request):
     return model, PinRobot(reference, model)
 
 
+@pytest.mark.slow
+@pytest.mark.cases(*ROBOTS, "tiago_dual")
 def test_every_link_pose_is_pinocchio_s(pair):
     model, reference = pair
     tree, rng = kinematic_tree(model), np.random.default_rng(0)
@@ -49,7 +52,7 @@ BROKEN = {
 }  # mimics nothing, lost mesh, no links
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_robot_of_example_robot_data_is_pinocchio_s():
     files = [f for f in sorted(EXAMPLES.rglob("*.urdf")) if f.name not in BROKEN]
     assert len(files) > 50

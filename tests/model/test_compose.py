@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from tests.model.helpers import dual, joint, link, model_of
+from tests.sizes import ROBOTS
 
 from armcell.core import SE3, InputError, UnknownNameError
 from armcell.model import MountedRobot, compose, installed_robots, load_robot, prefixed
@@ -31,6 +32,7 @@ def test_two_arms_have_prefixed_names_throughout():
         both.gripper()
 
 
+@pytest.mark.cases(*ROBOTS, "ur10_rail")
 @pytest.mark.parametrize("name", installed_robots())
 def test_a_prefix_changes_nothing_but_names(name):
     model = load_robot(name)

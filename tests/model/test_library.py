@@ -17,6 +17,7 @@ def test_the_library_has_the_promised_robots():
     assert {"panda", "ur10", "ur10_gripper"} <= set(installed_robots())
 
 
+@pytest.mark.slow
 def test_limits_are_complete(model):
     """What planning and timing need: finite, positive, in order."""
     assert np.all(model.lower < model.upper) and np.all(np.isfinite([model.lower, model.upper]))

@@ -118,6 +118,7 @@ def test_kinematics_equal_mujocos(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("kuka*")
 @pytest.mark.parametrize(
     "file",
     ["kuka_iiwa_14/iiwa14.xml", "kuka_iiwa_14/scene.xml", "so101/Simulation/SO101/so101_new_calib.xml"],

@@ -41,6 +41,7 @@ def only(model: RobotModel) -> Gripper:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("2F-85", "xArm", "Franka")
 @pytest.mark.parametrize("name", HANDS)
 def test_opening_and_closed_end_are_the_maker_s(name, monkeypatch):
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(SHARED))
@@ -75,6 +76,7 @@ def test_the_jaws_close_along_y_around_the_grip_center(name, monkeypatch):
     assert (tcp.translation - palm.translation) @ tcp.rotation.matrix[:, 2] > 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HANDS)
 def test_the_hand_holds_a_cube(name, monkeypatch):
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(SHARED))
@@ -189,6 +191,7 @@ def test_three_driven_fingers_state_what_to_add_to_the_description():
         find_grippers(model, stated=[GripperSpec.parse("drive=finger_a_joint fingers=finger_a,finger_b")])
 
 
+@pytest.mark.slow
 def test_a_ridge_inside_the_jaws_is_not_the_pad():
     """Jaws that meet at a ridge in their middle hold an object between the flat surfaces at their ends."""
     parts = jaw_parts(0.0, 0.03, MIRRORED, gap=0.008)  # flat surfaces 6 mm apart when closed

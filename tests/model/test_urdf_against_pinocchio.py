@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from tests.model.helpers import REFERENCES
+from tests.sizes import ROBOTS
 
 from armcell.core import SE3
 
@@ -15,6 +16,8 @@ def pair(request):
     return REFERENCES[request.param]()
 
 
+@pytest.mark.slow
+@pytest.mark.cases(*ROBOTS, "tiago_dual")
 def test_same_joints(pair):
     model, reference = pair
     assert set(model.movable_joint_names) == set(reference.names) - {"universe"}

@@ -33,6 +33,7 @@ def test_the_tuple_of_plan_is_executed_as_its_trajectory(arm):
     assert arm.execute(arm.plan()) is True
 
 
+@pytest.mark.slow
 def test_async_motion_and_stop(arm):
     arm.set_max_velocity_scaling_factor(0.005)
     before = arm.get_current_joint_values()
@@ -125,6 +126,7 @@ def test_retiming(arm):
 
 
 # --- grasping, as objects move without physics ---
+@pytest.mark.slow
 def test_pick_and_place(arm, scene, mc):
     assert arm.pick("nothing") == -19  # INVALID_OBJECT_NAME
     assert arm.pick("cube") == 1

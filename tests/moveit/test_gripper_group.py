@@ -66,6 +66,7 @@ assert client.get_result().stalled
 }
 
 
+@pytest.mark.cases("follow_joint_trajectory")
 @pytest.mark.parametrize("close", CLOSE.values(), ids=CLOSE)
 def test_closing_holds_and_attaches_the_object_and_the_lift_is_straight(tmp_path, close):
     file = tmp_path / "grip.py"
@@ -100,6 +101,7 @@ LOGS = 'import rospy\nfrom moveit_commander import MoveGroupCommander\nrospy.ini
 SAYS = 'rospy.loginfo("Close gripper now!")\n'
 
 
+@pytest.mark.cases("-True", "closing2-False", "*closed*", "*open*")
 @pytest.mark.parametrize(
     ("closing", "hinted"),
     [

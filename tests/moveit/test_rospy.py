@@ -171,6 +171,7 @@ def test_parameters(rospy):
 
 
 # --- time ---
+@pytest.mark.slow
 def test_sleep_and_rate_follow_the_cells_clock(rospy):
     began, wall = rospy.get_time(), time.monotonic()
     rospy.sleep(20.0)

@@ -105,11 +105,13 @@ def test_ctrl_c_in_a_wait_ends_the_script_and_stops_the_arm(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_a_sleep_that_nobody_catches(tmp_path, capsys):
     status, _ = run(tmp_path, f"import rospy\n{CTRL_C}while True:\n    rospy.sleep(0.1)\n")
     assert status == 130 and "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_ctrl_c_is_rospys_interrupt_in_a_loop(tmp_path):
     text = f"import rospy\nrate = rospy.Rate(10)\n{CTRL_C}try:\n"
     text += "    while not rospy.is_shutdown():\n        rate.sleep()\n"
@@ -139,6 +141,7 @@ def test_each_script_has_the_modules_beside_it(tmp_path):
     assert not {"beside", "parts", "parts.inner"} & set(sys.modules)
 
 
+@pytest.mark.slow
 def test_installed_packages_that_are_hidden_are_told(tmp_path, monkeypatch):
     (tmp_path / "site" / "rospy").mkdir(parents=True)
     (tmp_path / "site" / "rospy" / "__init__.py").write_text("raise SystemExit('the real one')\n")
@@ -174,6 +177,7 @@ sys.exit(int(sys.argv[1]))
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0")
 @pytest.mark.parametrize("status", [0, 4])
 def test_the_run_of_a_script_is_kept(status, tmp_path, capsys):
     script, numbers = tmp_path / "nodding.py", tmp_path / "out.json"

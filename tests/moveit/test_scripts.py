@@ -41,6 +41,7 @@ def run(script, cell, seed=None, **kwargs):
     return status, session, live, watch
 
 
+@pytest.mark.long
 def test_the_grasp_server_lifts_the_cube():
     assert not closes_gripper_itself(SCRIPTS / "grasp_action_server.py")
     status, session, live, watch = run("grasp_action_server.py", "panda_table", auto_grip=True)
@@ -51,12 +52,14 @@ def test_the_grasp_server_lifts_the_cube():
     assert not live.driver.unwanted_contacts() and not live.driver.welds()
 
 
+@pytest.mark.long
 def test_nobody_closes_the_gripper_when_a_script_only_says_so():
     status, session, live, _ = run("grasp_action_server.py", "panda_table", auto_grip=False)
     assert status == 0 and "auto-grip" in session.hints
     assert live.driver.object_poses()["cube"].translation[2] < 0.03
 
 
+@pytest.mark.cases("1")
 @pytest.mark.parametrize("seed", [None, 1])
 def test_pick_and_place_places_the_object(seed):
     assert closes_gripper_itself(SCRIPTS / "pick_and_place.py")

@@ -16,6 +16,7 @@ def scipy_of(axes, angles):
     return Rotation.from_euler(axes[1:] if axes[0] == "s" else axes[1:].upper(), angles)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", AXES)
 def test_euler_angles_about_any_axes(axes):
     for angles in np.random.default_rng(0).uniform(-3, 3, (20, 3)):

@@ -52,6 +52,7 @@ def run(tmp_path, capsys, text, *options):
     return status, json.loads(out.read_text()), capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_script_that_touches_something_fails(tmp_path, capsys):
     """The cube is not where the planner believes it: higher, in the way of the hand."""
     moved = "disturbances.moved.cube={by: [0.0, -0.15, 0.0]}"

@@ -33,6 +33,7 @@ def test_distance_leaves_brightness_out():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("True")
 @pytest.mark.parametrize("swapped", [False, True])
 def test_alike_shapes_are_told_apart_by_color(swapped):
     red, blue = (0.85, 0.3, 0.22, 1.0), (0.22, 0.42, 0.8, 1.0)

@@ -108,6 +108,7 @@ def record(path: Path, image, with_info: bool = True) -> None:
         writer.finish()
 
 
+@pytest.mark.slow
 def test_mcap(seen, tmp_path):
     record(tmp_path / "a.mcap", seen.image)
     found = load_record(tmp_path / "a.mcap").image()

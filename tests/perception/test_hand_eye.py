@@ -31,6 +31,7 @@ def views(count: int, mount: str, noise: tuple[float, float] = (0.0, 0.0), seed:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("in_hand")
 @pytest.mark.parametrize("mount", ["in_hand", "to_hand"])
 def test_exact_and_noisy_views(mount):
     exact = calibrate_hand_eye(*views(6, mount), mount)
@@ -97,7 +98,7 @@ def test_misuse():
         calibrate_hand_eye(hands, markers, "nose")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("mount", ["in_hand", "to_hand"])
 def test_end_to_end_with_a_panda(mount):
     """A camera on the hand looks at a marker on the table; or one in the cell at a marker on the hand."""

@@ -66,7 +66,7 @@ def test_one_picture_without_noise():
     assert lost == 0 and rows[:, 0].max() < 1.0 and rows[:, 1].max() < 1.0 and rows[:, 2].max() < 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("known", [False, True])
 @pytest.mark.parametrize("count", sizes(3, 10))
 def test_the_median_of_many_noisy_pictures(known, count):
@@ -77,7 +77,7 @@ def test_the_median_of_many_noisy_pictures(known, count):
     assert np.percentile(rows[:, 0], 95) < 3.0 and np.percentile(rows[:, 1], 95) < 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("known", [False, True])
 @pytest.mark.parametrize("count", sizes(5, 8))
 def test_where_things_hide_each_other(known, count):
@@ -105,7 +105,7 @@ def seen_bracket(turn: SO3, at: tuple[float, float, float], eye=(0.25, -0.3, 0.5
     return item, scene, take_image(world, camera)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "turn, z", [((0, 0, 0.7), 0.0), ((np.pi / 2, 0, -1.0), 0.02), ((0, -np.pi / 2, 2.5), 0.04)]
 )
@@ -149,6 +149,7 @@ def test_a_camera_without_depth_is_said():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("nan", "-1.0")
 @pytest.mark.parametrize("value", [np.nan, 0.0, -1.0, np.inf])
 def test_depth_of_nothing_is_said(value):
     s = random_scene(4)

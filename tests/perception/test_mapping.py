@@ -29,7 +29,7 @@ def cell() -> tuple[SimWorld, PlanningScene]:
     return SimWorld(known.with_object(BLOCK)), known
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_unknown_block_is_in_the_map_and_nothing_else(cell):
     world, known = cell
     world.set_object_pose("block", BLOCK.T_world_object)

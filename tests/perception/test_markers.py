@@ -42,6 +42,7 @@ def flat(x: float, y: float, yaw: float) -> SE3:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("apriltag_36h11-True", "aruco_4x4_50-False")
 @pytest.mark.parametrize("gl", [False, True] if has_gl() else [False])
 @pytest.mark.parametrize("family", ["apriltag_36h11", "aruco_4x4_50"])
 def test_poses_end_to_end(family, gl):

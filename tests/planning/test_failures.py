@@ -130,6 +130,7 @@ def test_unknown_names_raise_and_list(change, words):
         plan(panda_wall(), replace(request(NamedGoal("home")), **change))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["velocity_scaling", "acceleration_scaling"])
 @pytest.mark.parametrize("value", [0.0, -1.0, 1.5, np.nan])
 def test_scaling_is_checked(kind, value):
@@ -159,6 +160,7 @@ def test_a_group_without_a_tip_needs_a_link():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0.3")
 @pytest.mark.parametrize("seconds", [0.3, 1.0])
 def test_a_problem_without_solution_ends_in_time(seconds):
     scene, goal = walled_in()

@@ -77,6 +77,7 @@ def test_staying_at_the_end():
     assert certify_timed(allowed, motion, [crossing(2.0, 3.0)], until=4.0).free
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", seeds(4, range(12)))
 def test_against_dense_sampling(seed):
     """A Panda on its timed way, and a plate that turns and comes by."""
@@ -123,6 +124,7 @@ def test_nothing_in_the_way():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("-2.0")
 @pytest.mark.parametrize("begin", [-1.0, -2.0])
 def test_a_post_that_comes_by(begin):
     scene, goal = across()

@@ -38,6 +38,7 @@ PROBLEMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_a_plan_is_what_it_says(name):
     scene, goal = (make() for make in PROBLEMS[name])
@@ -63,6 +64,7 @@ def test_a_plan_is_what_it_says(name):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("*-0")
 @pytest.mark.parametrize("seed", seeds(3, range(10)))
 @pytest.mark.parametrize("name", ["panda pose", "ur10 pose"])
 def test_many_seeds(name, seed):
@@ -94,7 +96,7 @@ print(result.code.name, hashlib.sha256(result.trajectory.positions.tobytes()).he
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_process_plans_the_same_motion():
     """The order of Python's sets differs between processes: it may not matter."""
     root = Path(__file__).parents[2]

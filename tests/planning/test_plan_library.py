@@ -40,6 +40,7 @@ def in_the_way(scene: PlanningScene, waypoints: np.ndarray) -> PlanningScene:
     return scene.with_object(box("post", (0.05, 0.05, 0.05), tuple(at)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", [ACROSS, PoseGoal(down(0.45, 0.25, 0.25)), NamedGoal("ready")])
 def test_a_motion_is_found_again(goal, tmp_path):
     scene = panda_wall()
@@ -123,6 +124,7 @@ def test_a_tampered_motion_is_never_driven(tmp_path):
     judge(scene, result.trajectory)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [{"waypoints": [[1, 2]]}, {"waypoints": []}, {"waypoints": "x"}, {"waypoints": [[float("nan")] * 7]},

@@ -53,6 +53,7 @@ def test_of_several_attempts_the_shortest_is_taken():
     np.testing.assert_array_equal(many.trajectory.positions, again.trajectory.positions)
 
 
+@pytest.mark.slow
 def test_attempts_that_all_fail_say_so():
     scene, goal = walled_in()
     result = plan(scene, request(goal, attempts=3, planning_time=0.3))
@@ -113,6 +114,7 @@ def test_impossible_workspaces(corners):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0.3")
 @pytest.mark.parametrize("speed", [0.15, 0.3])
 def test_the_tip_s_speed_is_limited(speed):
     scene = panda_wall()

@@ -74,6 +74,16 @@ def with_a_post():
 
 # --- free-space planning ---
 @pytest.mark.slow
+@pytest.mark.cases(
+    "native-RRTConnect",
+    "native-PRM",
+    "native-EST",
+    "ompl-RRTConnect",
+    "ompl-FMT",
+    "ompl-PRM",
+    "chomp-CHOMP",
+    "stomp-STOMP",
+)
 @pytest.mark.parametrize(("pipeline", "name"), SEARCHING)
 def test_every_planner_leads_out_of_resting_contact(pipeline, name):
     scene, goal = with_a_post()
@@ -87,6 +97,7 @@ def test_every_planner_leads_out_of_resting_contact(pipeline, name):
     assert result.evidence["start_repaired"]["begins_at"] == "actual start"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(pipelines["pilz"]))
 def test_industrial_motions_lead_out_of_resting_contact(name):
     scene = on_table()
@@ -112,6 +123,7 @@ def test_a_sequence_begins_with_the_way_out():
     assert result.min_clearance > 0.009  # of fingers and table
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sink", [0.0, 1e-4, 1e-3, 1.9e-3])
 def test_the_way_out_is_short_and_straight_off_the_surface(sink):
     scene = on_table(sink)
@@ -135,6 +147,7 @@ def test_two_contacts_are_left_at_once():
     judge_from_rest(scene, result.trajectory)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [{"jerk_limits": True}, {"torque_limits": True}, {"max_cartesian_speed": 0.1}, {"velocity_scaling": 0.1}],
@@ -314,6 +327,7 @@ def test_free_starts_are_not_looked_at(monkeypatch):
 
 # --- properties ---
 @pytest.mark.slow
+@pytest.mark.cases("0", "2", "3")
 @pytest.mark.parametrize("seed", seeds(6, range(24)))
 def test_random_resting_contacts_are_left(seed):
     """A held box of any size and orientation on a slab of any slope; a second slab for every other seed; a
@@ -366,6 +380,7 @@ def random_rest(rng: np.random.Generator, kind: str):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0", "1")
 @pytest.mark.parametrize("seed", seeds(3, range(12)))
 def test_links_that_are_not_convex_are_led_out_too(seed):
     """A UR10 among whose links meshes are split into pieces that reach beyond them; a block leans on one."""

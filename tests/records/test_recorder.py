@@ -98,6 +98,7 @@ def test_bad_pictures_are_refused(scene, tmp_path):
     assert len(recorder.pictures) == 1
 
 
+@pytest.mark.slow
 def test_stage_spans_follow_begin_and_end_events(scene, tmp_path):
     with RunRecorder(tmp_path, scene) as recorder:
         end = play(scene, recorder, rate=50.0)

@@ -130,7 +130,7 @@ def test_cut_off_anywhere_the_whole_part_is_there(run, tmp_path):
     assert sum(n > 0 for n in found) > 15  # little is lost: a chunk is half a second or so
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_damage_is_said_and_never_a_traceback(run, tmp_path):
     folder, _ = run
     data = (folder / "run.mcap").read_bytes()
@@ -231,7 +231,7 @@ def test_scenes_come_back_as_they_were_changed(scene, tmp_path):
     assert scene_changes(third, third) == {}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_executed_again_is_the_same_to_the_bit(tmp_path, capsys):
     file, runs = cell_file(tmp_path, BOX), tmp_path / "runs"
     assert call(capsys, "run", file, "--seed", 5, "--runs", runs).status == 0
@@ -331,7 +331,7 @@ def test_data_of_events_differ_by_name_and_not_by_the_wall_clock(scene, tmp_path
     assert found.what.startswith("number of stages of") and (found.first, found.second) == (1, 2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_killed_run_leaves_what_was_whole(tmp_path, capsys):
     file = cell_file(tmp_path, BOX.replace("[{move: extended}]", "[{hold: 500.0}]"))
     process = start("run", file, "--runs", tmp_path / "runs", "--time-scale", "5")

@@ -87,6 +87,7 @@ def states_of(status, sent):
     return states[1:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accepts", [True, False])
 @pytest.mark.parametrize("cancelled", [True, False])
 @pytest.mark.parametrize("explicit", [True, False])

@@ -111,7 +111,7 @@ def test_a_motion_of_both_arms_is_divided_between_their_controllers():
         )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_joints_that_a_motion_leaves_out_stay_where_they_are():
     """ros2_control's controllers refuse a goal that names a part of their joints."""
     with Robot(controllers=arms()) as robot:
@@ -182,7 +182,7 @@ def test_a_controller_by_topic_is_followed_by_the_joints():
         assert "plan again" in work.outcome().message  # it is elsewhere by now
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_canceled_motion_by_topic_is_held_where_it_is():
     topic = Controller("left", "JointTrajectory", "/left/joint_trajectory", LEFT)
     with Robot(controllers=(topic,)) as robot:
@@ -203,6 +203,7 @@ def gripper_robot(**kind):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("kind0-*")
 @pytest.mark.parametrize(("kind", "position"), [({}, 0.01), ({"gives_width": True}, 0.02)])
 def test_a_gripper_is_driven_by_its_action(kind, position):
     hand, robot = gripper_robot(**kind)

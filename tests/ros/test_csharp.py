@@ -67,6 +67,7 @@ def program(request, tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("ROS2")
 def test_csharp_reads_and_writes_our_bytes(program):
     exe, codec = program
     rng = np.random.default_rng(1)

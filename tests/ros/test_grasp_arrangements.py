@@ -57,7 +57,7 @@ def test_all_in_one_process(seed):
         assert not again.success and "can be moved" in again.message
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("protocol", ["ROS1", "ROS2"])
 def test_simulator_and_planner_in_two_processes(protocol, tmp_path):
     def start(*arguments):
@@ -112,6 +112,7 @@ def test_simulator_and_planner_joined_through_a_ros1_graph():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("False")
 @pytest.mark.parametrize("ros2", [False, True])
 def test_a_unity_like_client_asks_the_server_to_grasp(ros2):
     """armcell simulates and plans; the client presses the button and watches the cube."""
@@ -137,6 +138,7 @@ def test_a_unity_like_client_asks_the_server_to_grasp(ros2):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("True")
 @pytest.mark.parametrize("ros2", [False, True])
 def test_unity_simulates_and_the_planner_grasps_with_it(ros2):
     """Unity has the robot and the cube; armcell plans, and knows the outcome from the joints alone."""

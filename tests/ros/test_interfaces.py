@@ -21,6 +21,8 @@ ROWS = [
 PARTS = {"msg": [""], "srv": ["Request", "Response"], "action": ["Goal", "Result", "Feedback"]}
 
 
+@pytest.mark.slow
+@pytest.mark.cases("jazzy std_*", "jazzy moveit_msgs action", "noetic moveit_msgs *")
 @pytest.mark.parametrize(("head", "items"), ROWS, ids=[head for head, _ in ROWS])
 def test_every_interface_is_known_in_both_layouts(head, items):
     distro, package, kind = head.split()

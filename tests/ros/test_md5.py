@@ -14,6 +14,7 @@ def test_the_record_is_whole():
     assert len(RECORDED) > 180
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "md5"), RECORDED, ids=[name for name, _ in RECORDED])
 def test_md5_is_the_real_one(name, md5):
     assert schema().md5(name) == md5
@@ -72,6 +73,7 @@ def test_own_definitions_are_added(tmp_path):
     assert own.md5("sensor_msgs/JointState") == schema().md5("sensor_msgs/JointState")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("path", "text", "reason"),
     [

@@ -298,11 +298,13 @@ def test_execution_its_start_its_end_and_its_stops(bus):
     assert execute(bus, slow_plan(bus), stop_after=0.2) == (GoalState.PREEMPTED, -7)
 
 
+@pytest.mark.slow
 def test_a_stop_ends_the_motion_where_it_is(bus, served):
     execute(bus, slow_plan(bus), stop_after=0.1)
     assert arm(served)[0] < 1.0  # of 1.5 rad, which take 1.7 s
 
 
+@pytest.mark.slow
 def test_a_cancelled_goal_is_preempted(bus):
     state, result, _ = move(
         bus, joint_goal({"panda_joint1": 1.5}), max_velocity_scaling_factor=0.02, cancel_after=0.5
@@ -382,6 +384,7 @@ def get_scene(bus, components=0):
     return bus.call("/get_planning_scene", asked).scene
 
 
+@pytest.mark.slow
 def test_the_scene_is_edited_by_service_and_topics_and_told(bus, served):
     box = new(
         "CollisionObject", id="box", primitives=[S.new("shape_msgs/SolidPrimitive", 1, [0.1, 0.1, 0.1])]

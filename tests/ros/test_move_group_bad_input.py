@@ -39,6 +39,8 @@ SERVICES = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
+@pytest.mark.cases("/plan_kinematic_path", "/apply_planning_scene", "/compute_fk", "/get_*")
 @pytest.mark.parametrize("name", SERVICES)
 def test_random_requests(served, name, caplog):
     rng = np.random.default_rng(0)
@@ -56,6 +58,7 @@ def test_random_requests(served, name, caplog):
     assert sane(served)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "topic", ["/planning_scene", "/collision_object", "/attached_collision_object", "/planned_trajectory"]
 )

@@ -104,6 +104,7 @@ def bus(request):
         yield found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ros2", [False, True], ids=["ROS1", "ROS2"])
 def test_unity_gets_latched_topics_late_and_by_their_names(bus, ros2):
     codec = cdr_codec() if ros2 else ros1_codec()
@@ -120,6 +121,7 @@ def test_unity_gets_latched_topics_late_and_by_their_names(bus, ros2):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("cell")
 def test_ros1_gets_latched_topics_late_and_by_their_names(bus):
     there = Bus()
     settings = Ros1Settings("cell", namespace="/arm_left", master="http://127.0.0.1:0", own_master=True)

@@ -104,6 +104,7 @@ DOORS = {"/collision_object": by_topic, "/planning_scene": by_scene, "apply_plan
 
 
 @pytest.mark.slow
+@pytest.mark.cases("/planning_scene", "/collision_object")
 @pytest.mark.parametrize(
     "door", [pytest.param(name, marks=[pytest.mark.slow] if i else []) for i, name in enumerate(DOORS)]
 )

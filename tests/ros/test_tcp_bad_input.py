@@ -79,6 +79,7 @@ ENDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", STAYS)
 def test_a_mistake_is_told_and_the_connection_goes_on(bus, server, bystander, what, caplog):
     data, expected = STAYS[what]

@@ -111,6 +111,7 @@ BAD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 def test_nothing_is_changed_by_a_diff_that_is_partly_wrong(name):
     change, text, _ = BAD[name]

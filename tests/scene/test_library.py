@@ -51,6 +51,8 @@ def test_each_stands_on_its_origin_with_the_inertia_of_its_solids(kind):
     np.testing.assert_allclose(inertia, expected, atol=2e-3 * np.abs(expected).max())
 
 
+@pytest.mark.slow
+@pytest.mark.cases("bottle", "bolt", "rod", "tray", "bin")
 @pytest.mark.parametrize("kind", object_names())
 def test_solids_of_one_object_do_not_overlap(kind):
     """Else volume and mass would count twice: points inside one solid are in no other."""

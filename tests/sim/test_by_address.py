@@ -20,6 +20,7 @@ def _doubled(table):
     return v.shape[0], m.shape
 
 
+@pytest.mark.slow
 def test_compiled_code_reads_and_writes_in_place():
     v, m = np.array([1, 2], np.int32), np.arange(6.0).reshape(2, 3)
     assert _doubled(addresses_of([v, m], [np.int32, np.float64])) == (2, (2, 3))

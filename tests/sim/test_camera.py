@@ -58,6 +58,7 @@ def test_left_is_left_and_up_is_up():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("ur10_gripper")
 @pytest.mark.parametrize("robot", ("panda", "ur10_gripper"))
 def test_ray_cast_picture_shows_the_robot(robot):
     camera = Camera.looking_at("c", [1.7, -1.5, 1.2], [0.3, 0.0, 0.35], width=320, height=240)

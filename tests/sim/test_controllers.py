@@ -129,7 +129,7 @@ def test_wrong_gains(tmp_path, scene, text, error, words):
         with_gains(PhysicsSettings(), gains, scene.model)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command(capsys, tmp_path):
     png, numbers = tmp_path / "r.png", tmp_path / "r.json"
     assert call(capsys, "step-response", "dual_ur10", "--plot", png, "--json", numbers).status == 0

@@ -16,6 +16,7 @@ from armcell.sim import PhysicsSettings, SimWorld
 HOLD = 5.0  # [s]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "mass", "friction"), [("panda", 0.1, 0.8), ("panda", 0.5, 0.3), ("ur10_gripper", 0.3, 0.5)]
 )
@@ -120,6 +121,7 @@ def test_hybrid_welds_only_what_slips():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("2ms-panda")
 @pytest.mark.parametrize("robot", ("panda", "ur10_gripper"))
 @pytest.mark.parametrize("settings", [PhysicsSettings(), PhysicsSettings(timestep=0.005)], ids=["2ms", "5ms"])
 def test_many_masses_and_frictions_hold(robot, settings):

@@ -34,6 +34,7 @@ def test_two_kilograms_do_not_creep_in_a_hand_at_rest(robot):
     assert creep["held"] < 0.1 and creep["plain"] > 20.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "values",
     (

@@ -98,6 +98,7 @@ def test_it_is_leased_to_one_world_at_a_time():
         assert again.mj_model is mj and again.mj_data is data
 
 
+@pytest.mark.slow
 def test_a_world_that_is_dropped_leaves_its_model_to_who_holds_it():
     """Views and snapshots stay valid, because only `close` gives the model back."""
     scene = _scene(np.random.default_rng(9))
@@ -155,6 +156,7 @@ def test_many_loose_objects():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("pose", "allowed")
 @pytest.mark.parametrize("change", ("color", "shape", "pose", "allowed", "settings", "fixed"))
 def test_what_else_changes_is_seen(change):
     scene, settings = _scene(np.random.default_rng(5)), SETTINGS

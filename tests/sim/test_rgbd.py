@@ -55,6 +55,7 @@ def test_depth_is_where_geometry_says(world, gl):
         assert camera.T_world_camera.apply(seen)[2] == pytest.approx(-0.1, abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gl", backends())
 def test_decals_are_the_right_way_round(world, gl):
     """x of a decal is right in its picture and y up."""

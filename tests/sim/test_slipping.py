@@ -46,6 +46,7 @@ def along(world: SimWorld) -> float:
     return float(np.linalg.norm(world.mj_data.qvel[dof : dof + 3]))
 
 
+@pytest.mark.cases("27.0")
 @pytest.mark.parametrize("angle_deg", [20.0, 27.0])
 def test_between_both_coefficients_a_block_rests_until_it_is_pushed(panda, angle_deg):
     """tan 20 and tan 27 deg are 0.36 and 0.51: between the dynamic coefficient and the static one."""

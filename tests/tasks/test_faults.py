@@ -94,6 +94,7 @@ def test_every_attempt_fails_and_each_had_another_grasp():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("hybrid")
 @pytest.mark.parametrize("mode", ["weld", "hybrid"])
 def test_the_weld_modes_hold_what_slips_and_report_it(mode):
     slippery = with_cube(mass=0.5, material=Material(0.02))
@@ -196,6 +197,7 @@ def test_after_a_failed_pick_the_arm_is_free_for_the_next():
         assert cell.driver.gripper("hand").held == "cube"
 
 
+@pytest.mark.slow
 def test_cancel_while_planning_ends_at_once():
     with live("fake", prison()) as cell:
         timer = threading.Timer(1.0, cell.ctx.cancel.set)

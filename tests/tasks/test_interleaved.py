@@ -69,6 +69,7 @@ def test_pick_place_pick_by_plans_made_ahead():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0.0")
 @pytest.mark.parametrize("moved", [0.0, 0.04])
 def test_what_was_moved_meanwhile_is_planned_for_again(moved):
     """In physics: while the cube is put down, somebody moves another one that is to be picked next."""

@@ -167,6 +167,7 @@ def solid() -> CollisionObject:
 GEOMETRY = ("100 mm wide, the gripper opens 80 mm", "the gripper has 70 N")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "reason"),
     [
@@ -200,6 +201,7 @@ def pit(half: float) -> CollisionObject:
     return CollisionObject("pit", tuple(walls), table.T_world_object @ SE3.from_xyz(-0.1, -0.3, top + 0.0155))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("half", "width"), [(0.07, 0.07), (0.048, 0.06), (0.044, 0.055)])
 def test_the_fingers_open_no_wider_than_there_is_room(half, width):
     """By 20 mm, where that would touch by a half or a quarter of it."""
@@ -219,6 +221,7 @@ def ring(inner: float) -> CollisionObject:
     return CollisionObject("cube", tuple(sides), SE3.from_xyz(*at), movable=True, mass=0.1)
 
 
+@pytest.mark.slow
 def test_a_finger_in_a_ring_opens_no_further_than_the_ring_lets_it():
     """A hand that pressed against the ring's other side never reached its opening."""
     item = ring(0.034)
@@ -250,6 +253,7 @@ def test_a_pose_excludes_a_place(cell):
         cell.arm.place("cube", on="tray", at=(0.0, 0.0), pose=SE3.identity())
 
 
+@pytest.mark.slow
 def test_a_full_tray_is_said_and_keeps_the_object():
     T = nominal().object("tray").T_world_object
     posts = [SE3.from_xyz(0.06 * i, 0.06 * j, 0.05) for i in (-1, 0, 1) for j in (-1, 0, 1)]

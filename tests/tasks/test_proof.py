@@ -108,6 +108,7 @@ def test_an_object_may_be_otherwise_than_believed_but_stands_on_its_support():
     assert np.log([o.mass_kg / 0.4 for o in others]).std() == pytest.approx(NOISE.mass, rel=0.15)
 
 
+@pytest.mark.slow
 def test_varied_grasps_differ(robot):
     _, _, hand = robot
     grasps = grasp_candidates(library_object("bottle"), hand)[0]

@@ -27,6 +27,7 @@ def pick(scene, settings, gripper, among=()):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda_pick")
 @pytest.mark.parametrize("name", ["six_axis_pick", "panda_pick"])
 def test_the_nearest_of_a_cubes_sides(name):
     cell = armcell.load(name)

@@ -41,6 +41,7 @@ def let_go(cell):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("lift")
 @pytest.mark.parametrize("stage", ["lift", "move to pre-place"])
 def test_what_is_dropped_is_picked_up_where_it_fell(stage):
     with live("sim") as cell:
@@ -118,7 +119,7 @@ def test_a_weak_gripper_is_given_up_with_its_reason():
         assert not cell.ctx.holding and cell.driver.unwanted_contacts() == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_way_is_given_up_at_once():
     settings = replace(SETTINGS, planning_time=0.05, planning_budget=1.0)
     with live("fake", prison(), settings=settings) as cell:

@@ -59,6 +59,7 @@ PLATE = box("plate", 0.08, 0.06, 0.03)  # the hand has no room beside it, whiche
 
 
 @pytest.mark.slow
+@pytest.mark.cases("now1-then1")
 @pytest.mark.parametrize(("now", "then"), [(Z, -Z), (Y, Z)])
 def test_a_box_is_turned_that_no_single_grasp_turns(now, then):
     up = tuple(map(float, then))
@@ -78,7 +79,7 @@ def test_a_box_is_turned_that_no_single_grasp_turns(now, then):
         assert not cell.driver.unwanted_contacts() and not cell.driver.welds() and not cell.ctx.holding
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_it_really_lies_in_between_is_looked_at():
     """Somebody pushes it away as soon as it is laid down: it is found there, and ends where it should."""
 
@@ -95,7 +96,7 @@ def test_where_it_really_lies_in_between_is_looked_at():
         assert R[2, 2] > 0.999 and np.abs(at[:2] - (0.5, 0.2)).max() < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mug_is_turned_upside_down():
     mug = library_object("mug", "mug", SE3.identity())
     with live("sim", scene_of(mug, Z)) as cell:
@@ -116,7 +117,7 @@ def test_what_the_hand_holds_by_the_wrong_grasp_is_laid_down_first():
         assert body(cell, "brick")[0][2, 2] > 0.999
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_way_at_all_is_said_and_nothing_moves():
     with live("sim", scene_of(PLATE, Z)) as cell:
         joints, pose = cell.driver.joint_state().positions, body(cell, "plate")[1].copy()

@@ -30,6 +30,7 @@ def sorting():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("shape-*")
 @pytest.mark.parametrize(
     ("by", "into", "word"),
     [
@@ -49,7 +50,7 @@ def test_everything_gets_to_its_mat(sorting, by, into, word):
         assert sorted(n for names in outcome.evidence["sorted"].values() for n in names) == sorted(THINGS)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_knocked_out_of_the_hand_is_seen_and_sorted_again(sorting):
     """The hand opens on the way; things of one color have no place and stay."""
     with sorting.connect(seed=4) as cell:

@@ -36,6 +36,7 @@ def live(mode: str, mass: float = 0.8, observers=(), settings=OBSERVED) -> LiveC
 
 
 @pytest.mark.slow
+@pytest.mark.cases("sim")
 @pytest.mark.parametrize("mode", ("fake", "sim"))
 def test_pick_and_place(mode):
     with live(mode) as cell:
@@ -67,6 +68,7 @@ def test_a_heavy_object_is_refused_before_the_arm_moves():
         assert cell.driver.now == 0.0 and (cell.driver.joint_state().positions == before).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("heavier", "holds"), [(3.0, True), (17.0, False)])
 def test_an_object_heavier_than_believed_is_held_up_to_the_bound(heavier, holds):
     """Believed 0.8 kg; the cups pull 122 N, the weight is 24 N or 133 N."""

@@ -21,6 +21,7 @@ def with_board(degrees: float, towards: float) -> PlanningScene:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("12-3.1", "20--0.8", "6-0.0")
 @pytest.mark.parametrize(
     "degrees, towards", [(6, 0.0), (12, 1.6), (12, 3.1), (20, -0.8), (21, 0.0), (21, 2.4)]
 )

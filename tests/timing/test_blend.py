@@ -12,6 +12,7 @@ from armcell.timing import BlendedPath
 SEEDS = range(10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("deviation", [0.005, 0.05, 0.5])
 def test_it_stays_near_its_corners_and_keeps_its_ends(seed, deviation):
@@ -93,6 +94,8 @@ def test_a_path_that_goes_nowhere(waypoints):
     np.testing.assert_array_equal(path.polyline(), waypoints[:1])
 
 
+@pytest.mark.slow
+@pytest.mark.cases("*-0", "*-1", "*-2")
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("deviation", [0.005, 0.05, 0.5])
 def test_smooth_corners_have_no_step_of_curvature(seed, deviation):

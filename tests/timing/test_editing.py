@@ -64,6 +64,7 @@ def test_stretching_slows_the_same_motion():
             slow_down(trajectory, factor)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, 1.0 + 1e-12, 1.37, 3.0])
 def test_to_a_duration(factor):
     _, trajectory = timed(3)

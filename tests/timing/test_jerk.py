@@ -22,6 +22,8 @@ def dense(trajectory, step: float = STEP) -> np.ndarray:
     return np.array([trajectory.sample(t)[0] for t in times])
 
 
+@pytest.mark.slow
+@pytest.mark.cases("0-0.005-*", "0-0.5-20.0")
 @pytest.mark.parametrize("ratio", [500.0, 20.0, 3.0])
 @pytest.mark.parametrize(("seed", "deviation"), SMOOTH)
 def test_limits_hold_by_finite_differences_of_the_positions(seed, deviation, ratio):

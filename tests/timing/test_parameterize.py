@@ -48,6 +48,7 @@ def milliseconds(seed: int, deviation: float = 0.05):
     return sampled(timed(seed, deviation)[1])
 
 
+@pytest.mark.cases("0", "1")
 @pytest.mark.parametrize("seed", seeds(5, SEEDS))
 def test_as_fast_as_toppra(seed):
     path, trajectory = timed(seed)
@@ -56,6 +57,7 @@ def test_as_fast_as_toppra(seed):
     assert best <= trajectory.duration
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.05, 0.15, 0.5])
 def test_within_one_percent_of_toppra_on_500_points(step):
     for seed in range(6):
@@ -75,6 +77,8 @@ def test_a_straight_line_is_timed_as_by_hand():
         assert trajectory.duration == pytest.approx(by_hand + WINDOW, rel=0.005)
 
 
+@pytest.mark.slow
+@pytest.mark.cases("0-0.0", "1-0.05", "1-0.3")
 @pytest.mark.parametrize(("seed", "deviation"), CASES)
 def test_limits_hold_at_every_millisecond(seed, deviation):
     _, v, a = milliseconds(seed, deviation)
@@ -83,6 +87,7 @@ def test_limits_hold_at_every_millisecond(seed, deviation):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0.*-few", "1.0-*-1.0-few", "1.0-*-0.3-few")
 @pytest.mark.parametrize("walks", sizes(1, 4))
 @pytest.mark.parametrize("scale", [1.0, 0.3, 0.02])
 @pytest.mark.parametrize(("step", "deviation"), [(0.02, 0.002), (0.15, 0.3), (1.0, 0.05), (1.0, 1.0)])
@@ -111,6 +116,7 @@ def test_the_path_is_kept_from_rest_to_rest(seed, deviation):
     assert on_path.query(p)[0].max() <= np.linalg.norm(SMOOTHING) + path.length / 50_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS[:5])
 def test_sharp_corners_are_reached_at_rest(seed):
     corners = random_waypoints(seed)

@@ -51,6 +51,8 @@ def timed(seed: int):
     return path, v, a, parameterize(path, names, v, a), parameterize(path, names, v, a, torque=dynamics)
 
 
+@pytest.mark.slow
+@pytest.mark.cases("0", "1")
 @pytest.mark.parametrize("seed", range(5))
 def test_pinocchio_finds_every_torque_within_its_limit(seed):
     _, v, a, without, trajectory = timed(seed)

@@ -21,6 +21,7 @@ from armcell.ros.unity.urdf import small_hull, write_stl
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda_table")
 @pytest.mark.parametrize("name", ["panda_table", "dual_ur10"])
 def test_the_flat_urdf_is_the_same_robot(name, tmp_path):
     model = load(name).model

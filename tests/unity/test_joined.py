@@ -21,6 +21,7 @@ S = schema()
 
 
 @pytest.mark.slow
+@pytest.mark.cases("False")
 @pytest.mark.parametrize("ros2", [False, True])
 def test_the_planner_grasps_in_unity(player, exported, scene, ros2):
     """What `armcell serve panda_table --unity --plan-only` serves; the cube is lifted by 0.2 m."""
@@ -55,7 +56,7 @@ def test_the_planner_grasps_in_unity(player, exported, scene, ros2):
         assert held[-1] == "done: holds cube"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_commands_of_the_readme(player, scene):
     """`armcell serve ... --plan-only`, Unity, and `armcell service call /grasp`, each in a process."""
     command = [sys.executable, "-u", "-m", "armcell"]

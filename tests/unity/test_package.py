@@ -53,6 +53,7 @@ def test_it_compiles_for_other_settings(player, defines, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("5")
 @pytest.mark.parametrize("order", [1, 3, 5])
 def test_interpolation_is_armcells(tmp_path, order):
     """Positions and velocities of random trajectories, in full precision, to 1e-9."""

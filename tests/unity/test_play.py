@@ -86,6 +86,7 @@ def test_links_are_where_armcell_has_them(player, exported, scene):
         assert seen == len(names)
 
 
+@pytest.mark.cases("3")
 @pytest.mark.parametrize("order", [1, 3, 5])
 def test_trajectories_are_armcells(player, exported, scene, order):
     """What the drives are told at each step is armcell's own sample, and scipy's polynomial, to 1e-6."""
@@ -278,6 +279,7 @@ def grip_lines(player, cell, slip):
     ]
 
 
+@pytest.mark.cases("weld-0.01*")
 @pytest.mark.parametrize(
     ("mode", "slip", "words", "height"),
     [
@@ -367,6 +369,7 @@ def test_materials_have_both_frictions(player, tmp_path):
     assert found["panda_link3"] == {(0.0, 0.0)}
 
 
+@pytest.mark.cases("panda_pick", "dual_ur10_sort")
 @pytest.mark.parametrize("name", cell_names())
 def test_every_cell_can_be_played(player, tmp_path, name):
     """All joints are published where the cell starts; all jaws and movable objects have their topics."""
@@ -388,6 +391,7 @@ def test_every_cell_can_be_played(player, tmp_path, name):
     assert topics == ({"/object_pose"} if len(movable) == 1 else {f"/object_pose/{o.name}" for o in movable})
 
 
+@pytest.mark.cases("True")
 @pytest.mark.parametrize("ros2", [False, True])
 def test_obstacles_reach_the_planner(player, exported, scene, ros2):
     """A box put into Unity's scene is at the same place in armcell's, follows, and is told but once."""

@@ -69,6 +69,7 @@ PAGES = {
 
 
 @pytest.mark.slow
+@pytest.mark.cases("replay", "run --view", "setup --web")
 @pytest.mark.parametrize("make", PAGES.values(), ids=PAGES)
 def test_no_page_answers_a_stranger(make, scene, tmp_path):
     with make(scene, tmp_path) as page:
@@ -119,6 +120,7 @@ def test_a_cookie_stays_below_a_path_that_nobody_knows(page):
     assert page.url.partition("token=")[2] not in cookie
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1.evil.example", "", "a b"])
 def test_dns_rebinding(page, host):
     """A name of the attacker's that points here, asked for by a browser that has even got the cookie."""
@@ -130,6 +132,7 @@ def test_dns_rebinding(page, host):
         assert refusal(page.url, me, Host=name, Origin=f"http://{name}") == 403
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("origin", [FOREIGN, "http://127.0.0.1:1", "http://localhost", "null", "file://", ""])
 def test_another_origin(page, origin):
     me = login(page.url)

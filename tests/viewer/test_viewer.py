@@ -243,6 +243,8 @@ def test_decimation_keeps_the_size_and_its_budget():
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 0.2, atol=0.01)
 
 
+@pytest.mark.slow
+@pytest.mark.cases("panda", "scara", "palletizer", "parallel_gripper")
 @pytest.mark.parametrize("robot", installed_robots())
 def test_every_link_with_a_body_is_drawn(robot):
     for link in load_robot(robot).links.values():

@@ -179,6 +179,7 @@ def test_nothing_moves_after_a_stop_before_resume(host, command, kind):
         assert wait(live.follow(swing(arm))) == "done"
 
 
+@pytest.mark.long
 def test_cancelling_stops_the_arm_and_the_next_motion_runs(host):
     with driver(host) as live:
         arm = franka(live)

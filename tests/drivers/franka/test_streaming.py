@@ -57,6 +57,7 @@ def drive(
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0")
 @pytest.mark.parametrize("seed", seeds(2, range(4)))
 def test_lost_states_and_commands_never_make_the_arm_jump(seed):
     rig, rng = Rig(), np.random.default_rng(seed)
@@ -120,6 +121,7 @@ def test_streamed_points_are_joined_and_end_at_rest():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0")
 @pytest.mark.parametrize("seed", seeds(2, range(6)))
 def test_streamed_points_with_jitter_delays_and_a_gap_never_make_the_arm_jump(seed):
     rig, rng = Rig(), np.random.default_rng(seed)

@@ -102,6 +102,7 @@ def test_a_move_survives_the_wire():
         MoveRequest.unpack(struct.pack("<I", 9) + sent.pack()[4:])
 
 
+@pytest.mark.slow
 @given(st.binary(max_size=2500))
 def test_damaged_datagrams_are_rejected_or_read(data):
     for read in (read_state, read_command):

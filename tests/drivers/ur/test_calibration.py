@@ -48,6 +48,7 @@ def far_and_back(seed: int) -> Kinematics:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("own1")
 @pytest.mark.parametrize("own", [factory_calibration(UR10, s) for s in (1, 2, 3)] + [far_and_back(4)])
 def test_flange_is_the_robot_s_own(own, tmp_path):
     model = load_robot("ur10")

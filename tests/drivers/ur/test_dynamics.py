@@ -88,6 +88,7 @@ def poses(*offsets):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("1.0")
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_an_arc_goes_through_its_point_at_a_constant_speed(side):
     s, (start, via, end) = poses((0, 0, 0), (0, 0.05 * side, 0.05), (0, 0, 0.1))
@@ -125,6 +126,7 @@ def joints(s: Setpoint, T) -> np.ndarray:
     return q
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["line", "joints"])
 def test_a_blend_passes_the_corner_at_speed_and_without_a_jump(kind):
     s, (corner, beside) = poses((0, 0, 0.1), (0, 0.15, 0.1))
@@ -151,6 +153,7 @@ def test_a_blend_passes_the_corner_at_speed_and_without_a_jump(kind):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0.03")
 @pytest.mark.parametrize("radius", [0.0, 0.03])
 def test_a_program_s_points_are_blended_within_their_radius(radius):
     _, (corner, beside) = poses((0, 0, 0.1), (0, 0.15, 0.1))

@@ -65,6 +65,8 @@ def test_masses_speeds_and_torques_are_the_vendor_s(name):
     np.testing.assert_allclose(np.degrees(model.velocity), degrees)
 
 
+@pytest.mark.slow
+@pytest.mark.cases("UR10", "UR30", "UR5e", "UR3")
 @pytest.mark.parametrize("name", MODELS)
 def test_a_driver_tells_the_models_apart_by_their_geometry(name):
     """Also with the deviations that a factory calibration finds."""

@@ -256,6 +256,7 @@ def test_real_arms_that_are_not_connected_say_so():
             call()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["sim", "fake"])
 @pytest.mark.parametrize("extra", ["", "disturbances: {joint_noise_deg: 0.001}\n", "perception"])
 def test_simulated_cells_resume_too(tmp_path, mode, extra):

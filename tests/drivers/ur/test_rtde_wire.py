@@ -313,6 +313,7 @@ def test_an_external_sensor_gives_the_tcp_force(host):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("UR10")
 def test_values_agree_with_each_other_while_the_arm_moves(host):
     names = (
         "timestamp", "control_step", "actual_q", "actual_qd", "target_qdd", "elbow_position",

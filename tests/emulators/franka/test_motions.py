@@ -20,6 +20,7 @@ def swing(t: float, duration: float) -> tuple[float, float]:
 
 
 @pytest.mark.slow
+@pytest.mark.cases("0")
 @pytest.mark.parametrize("controller", [MoveController.JOINT_IMPEDANCE, MoveController.CARTESIAN_IMPEDANCE])
 def test_joint_positions_are_tracked(controller):
     rig = Rig()
@@ -54,6 +55,7 @@ def test_joint_velocities_are_integrated():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("True")
 @pytest.mark.parametrize("elbow", [False, True])
 def test_cartesian_poses_move_the_end_effector(elbow):
     rig = Rig()

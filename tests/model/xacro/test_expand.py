@@ -65,6 +65,8 @@ VENDOR_FILES = [
 ]
 
 
+@pytest.mark.slow
+@pytest.mark.cases("franka_description/robots/fr3/*", "ur_description*", "robotiq*", "xarm*")
 @pytest.mark.skipif(not VENDORS.is_dir(), reason="the vendors' descriptions are not on this machine")
 @pytest.mark.parametrize(("name", "arguments"), VENDOR_FILES)
 def test_descriptions_of_vendors_are_expanded_as_by_the_library(name, arguments):
@@ -156,6 +158,7 @@ def package(tmp_path):
     return tmp_path / "any_name"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_what_descriptions_use_is_expanded_as_by_the_library(package, name):
     file = package / "urdf" / "r.urdf.xacro"
@@ -205,6 +208,18 @@ BOMBS = {
 
 
 @pytest.mark.slow
+@pytest.mark.cases(
+    "macro*",
+    "tree of *",
+    "*itself",
+    "power",
+    "long text",
+    "*parameters",
+    "deep",
+    "large integer",
+    "lazy chain",
+    "yaml",
+)
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_file_that_never_ends_is_stopped(tmp_path, name, within):
     file = tmp_path / "r.xacro"

@@ -43,6 +43,7 @@ HARD = {  # found among random lines: start, offset [m], turn [rad]
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", HARD)
 def test_the_spare_joint_completes_what_a_plain_descent_cannot(case):
     q, offset, turn = HARD[case]

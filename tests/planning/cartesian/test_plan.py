@@ -41,6 +41,8 @@ MOVES = {
 }
 
 
+@pytest.mark.slow
+@pytest.mark.cases("*-panda")
 @pytest.mark.parametrize("robot", [panda, ur10])
 @pytest.mark.parametrize("move", MOVES)
 def test_the_tip_keeps_its_line_and_its_turn(robot, move):
@@ -177,6 +179,7 @@ def test_a_step_that_would_take_forever_is_refused():
         run(panda(), tip(panda()).shifted(z=-0.1), max_step=1e-9)
 
 
+@pytest.mark.slow
 def test_a_long_line_is_cancelled():
     scene, cancel = panda(), threading.Event()
     start = tip(scene)

@@ -109,6 +109,7 @@ def judge(scene, request: PlanRequest, result, step: float = 1e-3) -> float:
     return worst
 
 
+@pytest.mark.cases("Panda*")
 @pytest.mark.parametrize("name", CELLS)
 def test_the_timed_motion_keeps_to_the_constraints(name):
     cell = CELLS[name]
@@ -174,6 +175,7 @@ def test_a_region_of_several_shapes(free_panda):
     assert judge(free_panda, request, plan(free_panda, request)) <= 1e-7
 
 
+@pytest.mark.cases("0.02-*", "0.002-xyz_euler")
 @pytest.mark.parametrize("parameterization", ["rotation_vector", "xyz_euler"])
 @pytest.mark.parametrize("tolerance", [0.3, 0.02, 2e-3])
 def test_orientations_down_to_small_tolerances(free_panda, tolerance, parameterization):

@@ -201,7 +201,7 @@ def looking(eye, end) -> SE3:
     return SE3.from_matrix(np.vstack([np.column_stack([x, np.cross(z, x), z, eye]), [0, 0, 0, 1]]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_along_a_path_the_arm_stays_out_of_a_camera_s_view():
     """A camera that stands before the robot watches the table; the arm does not go through the view."""
     scene = panda(joint1=-0.8, joint2=0.3, joint4=-2.2, joint6=2.5)

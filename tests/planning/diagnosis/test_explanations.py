@@ -68,6 +68,20 @@ def test_there_are_thirty():
     assert len(REQUESTS) == 30 and len({case.make for case in REQUESTS.values()}) == 30
 
 
+@pytest.mark.cases(
+    "start *",
+    "goal *",
+    "held object *",
+    "pose *",
+    "orientation *",
+    "padding too large *",
+    "no goal",
+    "one object *",
+    "too little time",
+    "line jumps",
+    "unknown *",
+    "scaling *",
+)
 @pytest.mark.parametrize("name", REQUESTS)
 def test_the_code_and_what_is_to_blame(name):
     e, case = explained(name).explanation, explained(name).case

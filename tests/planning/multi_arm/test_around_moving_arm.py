@@ -44,6 +44,7 @@ def judged(at, result, running, start=0.0):
     assert Judge(at).nearest(RunningMotion(trajectory, start), running, step=4e-3) >= 0.02 - 1e-5
 
 
+@pytest.mark.cases("0-swap deep", "1-swap over")
 @pytest.mark.parametrize("name", SWAPS)
 @pytest.mark.parametrize("seed", seeds(2, range(4)))
 def test_they_change_places_while_the_other_moves(name, seed):

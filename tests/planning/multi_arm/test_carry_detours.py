@@ -48,6 +48,7 @@ def beyond(obstacles: list[CollisionObject], goal: SE3 | None = None) -> Carry:
     return Carry("", scene, carried, start, goal, supports)
 
 
+@pytest.mark.cases("block")
 @slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_way_round_is_free_as_it_is_executed(kind):

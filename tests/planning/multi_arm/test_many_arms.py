@@ -84,6 +84,7 @@ def test_arms_are_tested_against_each_other_or_one_against_the_rest():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("three_ur5_table")
 @pytest.mark.parametrize("name", CELLS)
 def test_all_start_and_arrive_together_and_keep_apart(name):
     arms = CELLS[name]
@@ -116,6 +117,7 @@ def test_goals_are_tried_in_the_order_of_their_cost():
     assert list(_by_cost([[1.0], []])) == []
 
 
+@pytest.mark.slow
 def test_around_two_arms_that_leave_the_middle():
     """B and C are in the way, one after the other, and A goes as soon as both have left."""
     at, running = scene(), {}

@@ -83,6 +83,7 @@ def _random_pair(rng):
     return [motion(scene(), g, p) for g, p in zip((LEFT, RIGHT), tips, strict=True)]
 
 
+@pytest.mark.cases("3")
 @pytest.mark.parametrize("seed", seeds(8, range(40)))
 def test_the_timed_pair_is_what_coal_sees_every_millisecond(arms, seed):
     _agrees(arms, Judge(scene()), *_random_pair(np.random.default_rng(seed)), (0.0, 0.02)[seed % 2])
@@ -132,6 +133,7 @@ CASES = {
 }
 
 
+@pytest.mark.cases("apart", "close")
 @pytest.mark.parametrize("name", CASES)
 def test_they_start_and_arrive_together_and_apart(name):
     goals = dict(zip((LEFT, RIGHT), (tip(*xyz) for xyz in CASES[name]), strict=True))

@@ -42,6 +42,7 @@ def joints(scene, *steps: float) -> JointGoal:
 
 
 # --- PTP ---
+@pytest.mark.slow
 @each_robot
 def test_ptp_joints_start_cruise_brake_and_end_together(robot):
     scene = robot()
@@ -93,6 +94,7 @@ def test_ptp_out_of_limits_or_out_of_reach():
 
 
 # --- LIN ---
+@pytest.mark.slow
 @each_robot
 def test_lin_keeps_its_line(robot):
     """checkCartesianLinearity, with MoveIt's tolerance of 1e-6."""
@@ -112,6 +114,7 @@ def test_lin_keeps_its_line(robot):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("limits1-panda", "limits0-ur10")
 @each_robot
 @pytest.mark.parametrize("limits", [{}, {"max_trans_vel": 0.4, "max_trans_acc": 1.0, "max_trans_dec": -2.0}])
 def test_lin_has_a_trapezoid_for_its_speed(robot, limits):
@@ -208,6 +211,8 @@ def test_lin_through_what_cannot_be_reached_stops_there():
 
 
 # --- CIRC ---
+@pytest.mark.slow
+@pytest.mark.cases("*-panda")
 @each_robot
 @pytest.mark.parametrize("kind", ["interim", "center"])
 @pytest.mark.parametrize("as_constraint", [False, True])
@@ -274,6 +279,7 @@ def post():
     return scene.with_object(box("post", (0.05, 0.05, 0.5), (x, 0.2, z)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", ["PTP", "LIN", "CIRC"])
 def test_what_touches_is_never_returned_and_told_with_pair_and_place(planner):
     scene = post()

@@ -33,6 +33,7 @@ each_pair = pytest.mark.parametrize(
 
 
 @pytest.mark.slow
+@pytest.mark.cases("LIN-LIN-panda", "LIN-CIRC-panda", "PTP-LIN-panda")
 @pytest.mark.parametrize("robot", [panda, ur10])
 @each_pair
 def test_a_blend_is_continuous_and_inside_its_sphere(robot, first, second):

@@ -138,6 +138,7 @@ def test_a_search_in_slices_is_the_same_search(name):
     np.testing.assert_array_equal(whole.waypoints, sliced.waypoints)
 
 
+@pytest.mark.slow
 def test_two_threads_find_what_one_finds_after_the_other():
     questions = [question(*PROBLEMS[name]()) for name in PROBLEMS for _ in range(2)]
     seeds = range(8)
@@ -162,6 +163,7 @@ def test_two_threads_find_what_one_finds_after_the_other():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("RRTConnect", "PRM")
 @pytest.mark.parametrize("planner_id", ["RRTConnect", "AORRTC", "PRM"])
 def test_cancelling_takes_milliseconds(planner_id):
     """5 ms is the aim; another program may hold the processor, so the best of several counts."""
@@ -263,6 +265,7 @@ def test_a_region_is_used_where_its_middle_cannot_be_reached():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda")
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_more_iterations_never_cost_more(name):
     checker, *ask = question(*(PROBLEMS[name]()))

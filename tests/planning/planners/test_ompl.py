@@ -202,6 +202,7 @@ def configs(change=None):
     return tables
 
 
+@pytest.mark.cases("fine-*", "arm*", "KPIECE*")
 @pytest.mark.parametrize(
     ("planner_id", "name"),
     [
@@ -230,7 +231,7 @@ def test_a_request_s_own_parameters_come_before_the_configuration_s():
     assert fine.evidence["checks"] == plain.evidence["checks"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_without_simplifying_the_raw_path_is_returned_proven():
     def keep(tables):
         tables["arm"]["simplify_solutions"] = False
@@ -256,6 +257,7 @@ BROKEN = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", BROKEN)
 def test_broken_configurations_are_named(case):
     planner_id, change, words = BROKEN[case]

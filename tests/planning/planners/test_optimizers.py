@@ -147,6 +147,7 @@ UR_GOAL = JointGoal(JointState(("shoulder_pan_joint",), [0.8]))
 
 
 @pytest.mark.slow
+@pytest.mark.cases("chomp-*")
 @pytest.mark.parametrize(("pipeline", "seconds"), [("chomp", 20.0), ("stomp", 60.0)])
 def test_they_go_over_a_wall(pipeline, seconds):
     for scene, goal in ((panda_wall(), beyond_panda()), (ur10_wall(), UR_GOAL)):
@@ -155,6 +156,7 @@ def test_they_go_over_a_wall(pipeline, seconds):
         judge(scene, result.trajectory)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pipeline", ["chomp", "stomp"])
 def test_the_same_seed_gives_the_same_motion(pipeline):
     asked = request(beyond_panda(), pipeline_id=pipeline, planner_id="", planning_time=60.0, seed=3)
@@ -187,11 +189,12 @@ def test_their_parameters_are_checked():
 
 # --- as a smoother ---
 @pytest.mark.slow
+@pytest.mark.cases("chomp_smoothing")
 @pytest.mark.parametrize("name", ["chomp_smoothing", "chomp/OptimizerAdapter"])
 def test_smoothing_after_another_planner_leads_away_from_obstacles(name):
     scene = panda_wall()
     plain = plan(scene, request(beyond_panda()))
-    smooth = plan(scene, request(beyond_panda(), adapters=(*ADAPTERS, name)))
+    smooth = plan(scene, request(beyond_panda(), adapters=(*ADAPTERS, name), planning_time=60.0))
     assert smooth.ok and smooth.planner_id == "RRTConnect" and smooth.evidence["smoothed"]
     judge(scene, smooth.trajectory)
     np.testing.assert_allclose(smooth.path.waypoints[[0, -1]], plain.path.waypoints[[0, -1]])

@@ -51,6 +51,7 @@ def test_moveit_s_default_is_there():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("native-*", "chomp-*", "stomp-*", "ompl-RRTConnect", "ompl-PRM", "ompl-BFMT")
 @each_planner
 def test_it_solves_an_easy_problem_or_says_that_it_cannot(pipeline, name):
     scene = panda_wall()
@@ -67,6 +68,10 @@ def test_it_solves_an_easy_problem_or_says_that_it_cannot(pipeline, name):
         assert name in result.message and result.trajectory is None
 
 
+@pytest.mark.slow
+@pytest.mark.cases(
+    "native-RRTConnect", "native-AORRTC", "chomp-*", "stomp-*", "ompl-RRTConnect", "ompl-RRTstar"
+)
 @each_planner
 def test_it_keeps_to_its_time(pipeline, name):
     scene, goal = walled_in()
@@ -76,6 +81,10 @@ def test_it_keeps_to_its_time(pipeline, name):
     assert result.code in (ErrorCode.TIMED_OUT, ErrorCode.PLANNING_FAILED) and name in result.message
 
 
+@pytest.mark.slow
+@pytest.mark.cases(
+    "native-*", "chomp-*", "stomp-*", "ompl-RRTConnect", "ompl-PRM", "ompl-RRTstar", "ompl-BFMT"
+)
 @each_planner
 def test_it_says_which_parameters_it_has(pipeline, name):
     words = f"unknown parameter of planner {name!r} 'no_such'; it has: "
@@ -87,6 +96,9 @@ def test_it_says_which_parameters_it_has(pipeline, name):
 
 
 @pytest.mark.slow
+@pytest.mark.cases(
+    "native-RRTConnect", "native-AORRTC", "chomp-*", "stomp-*", "ompl-RRTConnect", "ompl-RRTstar"
+)
 @each_planner
 def test_it_is_cancelled(pipeline, name):
     scene, goal = walled_in()
@@ -106,6 +118,7 @@ FAST = [p for p in ALL if p[1] in ("RRTConnect", "BKPIECE1", "KPIECE1", "LBKPIEC
 
 
 @pytest.mark.slow
+@pytest.mark.cases("native-RRTConnect", "ompl-RRTConnect", "ompl-KPIECE1")
 @pytest.mark.parametrize(("pipeline", "name"), FAST)
 def test_the_same_seed_gives_the_same_motion(pipeline, name):
     scene, goal = panda_wall(), beyond_panda()
@@ -115,6 +128,7 @@ def test_the_same_seed_gives_the_same_motion(pipeline, name):
     np.testing.assert_array_equal(a.trajectory.positions, b.trajectory.positions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted({name for _, name in ALL}))
 @pytest.mark.parametrize(
     "form", ["{}", " {} ", "geometric::{}", "{}kConfigDefault", "geometric::{}kConfigDefault", "arm[{}]",
@@ -129,6 +143,7 @@ def test_none_given_is_the_default():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("EST-EST", "panda_arm*", "geometric*", "LIN-LIN", "CHOMP-CHOMP", "-RRTConnect")
 @pytest.mark.parametrize(
     ("asked", "name"),
     [

@@ -51,6 +51,7 @@ def answer(node, fields) -> dict[str, str]:
         return receive(sock)
 
 
+@pytest.mark.cases("fields0-*", "fields3-*", "fields6-*", "fields7-*")
 @pytest.mark.parametrize(
     ("fields", "error"),
     [
@@ -78,6 +79,8 @@ def test_anything_is_taken_where_it_is_asked_for(node):
     )
 
 
+@pytest.mark.slow
+@pytest.mark.cases("GET /*", "*abcd", "")
 @pytest.mark.parametrize(
     "data",
     [
@@ -187,6 +190,7 @@ class BadPublisher:
 GOOD = (lambda body: struct.pack("<I", len(body)) + body)(bytes(ros1_codec().encode(S.new(STRING, "good"))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("data", "header", "said", "good"),
     [

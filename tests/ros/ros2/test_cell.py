@@ -107,6 +107,7 @@ def test_a_namespaced_and_remapped_cell(reach, peer):
             assert tree.get(20).transforms
 
 
+@pytest.mark.long
 def test_a_goal_that_a_newer_one_replaces_is_aborted_with_the_reason(cell, peer):
     joints, start = arm_state(peer)
     first, _ = send(peer, 30, trajectory(joints, start, 0.5, 20.0))
@@ -180,6 +181,7 @@ def patient(bus, reach):
         yield made
 
 
+@pytest.mark.long
 def test_simulator_and_planner_in_two_processes_grasp_over_dds(bus, patient, reach):
     """The first reference system's scenario: a Panda grasps a cube and lifts it."""
     environment = {"CYCLONEDDS_URI": reach.config, "ROS_DISTRO": "jazzy"}

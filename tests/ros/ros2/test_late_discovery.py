@@ -24,7 +24,7 @@ PEERS = {"asks only 127.0.0.1": LOCALHOST, "uses only multicast": SUBNET}
 IN_TIME = 2.0  # [s]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_nodes_that_start_after_half_a_minute_are_found_at_once():
     pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install 'armcell[ros2]')")
     with ExitStack() as stack:
@@ -51,6 +51,7 @@ def test_nodes_that_start_after_half_a_minute_are_found_at_once():
 
 
 @pytest.mark.slow
+@pytest.mark.cases("armcell-SUBNET-LOCALHOST", "node-LOCALHOST-SUBNET", "node-SUBNET-loopback only")
 @pytest.mark.parametrize(
     "config", [LOCALHOST, SUBNET, LOOPBACK], ids=["LOCALHOST", "SUBNET", "loopback only"]
 )

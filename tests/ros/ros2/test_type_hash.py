@@ -25,6 +25,8 @@ def hash_of(codec, full):
     return codec.type_hash(ours)
 
 
+@pytest.mark.slow
+@pytest.mark.cases("std_msgs/*", "sensor_msgs/*", "moveit_msgs/action/*")
 @pytest.mark.parametrize(("full", "expected"), RECORDED, ids=[full for full, _ in RECORDED])
 def test_hashes_are_those_of_ros2(full, expected):
     assert hash_of(ros2_codec(S, "jazzy"), full) == f"RIHS01_{expected}"

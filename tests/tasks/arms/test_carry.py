@@ -145,6 +145,7 @@ WALL = """
 """
 
 
+@pytest.mark.long
 def test_the_rod_over_a_wall_in_physics(cell, tmp_path):
     """The straight way to the other side of the table is blocked; it goes round, and is put down there."""
     text = (cell.file.parent / "cell.yaml").read_text()
@@ -178,6 +179,7 @@ def test_the_rod_in_physics(cell, seed):
     assert m["squeeze_N"] <= 30 and m["slip_mm"] <= 1.0 and m["placed_off_mm"] <= 2.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", seeds(1, range(3)))
 def test_screwing_in_physics(seed):
     cell = armcell.load("dual_ur10_screw")
@@ -190,6 +192,7 @@ def test_screwing_in_physics(seed):
     assert 5.0 < m["force_mean_N"] < 9.0 and m["force_max_N"] < 12.0
 
 
+@pytest.mark.cases("dual_ur10_rod")
 @pytest.mark.parametrize("name", ["dual_ur10_rod", "dual_ur10_sort", "dual_ur10_screw"])
 def test_the_same_scripts_run_without_physics(name):
     task = armcell.load(name)

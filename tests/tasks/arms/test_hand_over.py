@@ -29,6 +29,7 @@ def cell(tmp_path_factory):
     return load(file)
 
 
+@pytest.mark.long
 def test_from_hand_to_hand_and_down_on_the_other_side(cell):
     with cell.connect("sim", seed=0) as live:
         assert live["left_arm"].pick("bar")

@@ -24,7 +24,7 @@ def cell():
     return load("three_ur5_table")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tours_through_one_place_end_and_keep_apart(cell):
     watch = Watch()
     with cell.connect("fake", seed=1, observers=[watch]) as live:

@@ -79,6 +79,7 @@ def by_trays_alone(streams):
     return dict(zip((LEFT, RIGHT), best, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 6])
 def test_of_all_orders_none_is_done_earlier(cell, seed):
     streams = streams_of(cell.scene(seed), seed)
@@ -123,7 +124,7 @@ def test_long_streams_are_ordered_too():
     assert by_the_tick(streams, 5.0, 5.0) > 10 * 10.0 + 3.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", seeds(1, [1, 12]))
 def test_an_arm_takes_as_long_as_estimated(cell, seed):
     """Orders of an arm that works alone, against its motions; it is not told where on a tray a thing goes."""
@@ -149,7 +150,7 @@ def test_an_arm_takes_as_long_as_estimated(cell, seed):
     assert np.corrcoef(took, thought)[0, 1] > 0.7
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_arms_meet(cell):
     """Against coal's distances between the two arms, along ways over the trays."""
     scene, rng = cell.scene(1), np.random.default_rng(0)
@@ -196,7 +197,7 @@ def test_what_cannot_be_ordered(cell):
     assert orders(scene, {LEFT: [], RIGHT: []}, tray_of) == {LEFT: [], RIGHT: []}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("batches", sizes(1, 3))
 def test_the_arms_are_done_earlier(cell, batches):
     """The same batches at work, in the order as the cubes come and in the one chosen."""

@@ -61,6 +61,7 @@ TOURS = {
 }
 
 
+@pytest.mark.cases("over the other's side")
 @pytest.mark.parametrize("name", TOURS)
 def test_tours_through_one_place_end_and_keep_apart(cell, name):
     watch = Watch()
@@ -176,6 +177,7 @@ def test_meeting_points(cell):
     assert abs(seen[0][1] - seen[1][1]) <= 0.11 and seen[0][1] >= 1.5
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_run(cell):
     ends = []
     for _ in range(2):
@@ -194,6 +196,7 @@ def test_misuse(cell):
             live.side_by_side(left_arm=tour(SAME), middle_arm=tour(SAME))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", seeds(1, range(3)))
 def test_sorting_in_physics(seed):
     from armcell.cell import run_task
