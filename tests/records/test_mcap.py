@@ -13,6 +13,7 @@ from tests.records.synthetic import panda_scene, play
 
 from armcell.core import SE3, Box, Event, JointState, JointTrajectory, StateSample
 from armcell.kinematics import kinematic_tree
+from armcell.model.urdf import parse_urdf
 from armcell.records import RunRecorder
 from armcell.records.mcap_writer import ros_name
 from armcell.scene import CollisionObject
@@ -162,16 +163,20 @@ def test_velocities_and_accelerations_of_a_trajectory_are_kept(scene, tmp_path, 
     np.testing.assert_array_equal([p.accelerations for p in message.points], rows + 2)
 
 
-def test_the_urdf_is_recorded_where_the_model_knows_its_file(scene, tmp_path):
+def test_the_urdf_is_recorded(scene, recorded, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text("<robot name='arm'/>")
     known = replace(scene, model=replace(scene.model, source=str(urdf)))
     with RunRecorder(tmp_path / "a", known) as recorder:
         pass
     assert read(recorder.mcap_file)[0]["/robot_description"][0][1].data == "<robot name='arm'/>"
-    with RunRecorder(tmp_path / "b", scene) as recorder:
-        pass
-    assert "/robot_description" not in read(recorder.mcap_file)[0]
+    (_, text), *more = recorded[1]["/robot_description"]  # of a model without a file of its own
+    again = parse_urdf(text.data, tmp_path / "record.urdf")
+    q = scene.model.default_positions()
+    assert not more and again.joint_names == scene.model.joint_names
+    np.testing.assert_allclose(
+        kinematic_tree(again).link_transforms(q), kinematic_tree(scene.model).link_transforms(q), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(

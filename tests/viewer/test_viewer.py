@@ -32,6 +32,7 @@ from armcell.core import (
 from armcell.core.geometry import local_bounds
 from armcell.kinematics import kinematic_tree
 from armcell.model import installed_robots, load_robot
+from armcell.model.assets import decimated
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.viewer import CellViewer
 from armcell.viewer import geometry as g
@@ -238,7 +239,7 @@ def test_clouds_are_drawn(viewer):
 @pytest.mark.slow
 def test_decimation_keeps_the_size_and_its_budget():
     sphere = g.trimesh.creation.icosphere(6, 0.2)
-    vertices, faces = g.decimated(sphere.vertices, sphere.faces, 3000)
+    vertices, faces = decimated(sphere.vertices, sphere.faces, 3000)
     assert 500 < len(faces) <= 3000
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 0.2, atol=0.01)
 

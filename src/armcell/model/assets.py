@@ -408,3 +408,25 @@ def _merged(parts: list[trimesh.Trimesh], scale: tuple[float, float, float], pat
     whole.update_faces(whole.nondegenerate_faces())
     whole.remove_unreferenced_vertices()
     return Mesh(whole.vertices, whole.faces.astype(np.int32), path)
+
+
+def decimated(
+    vertices: NDArray[np.float64], faces: NDArray[Any], max_faces: int
+) -> tuple[NDArray[np.float64], NDArray[Any]]:
+    """Reduce a mesh for drawing to about `max_faces` triangles by vertex clustering.
+
+    The clustering grid coarsens until the mesh has at most `max_faces` triangles. No vertex moves by more
+    than the diagonal of a grid cell. Never use the result for collision checking.
+    """
+    out_vertices, out_faces = vertices, faces
+    cell = float(np.ptp(vertices, axis=0).max()) / 400
+    while len(out_faces) > max_faces:
+        _, member = np.unique(np.floor(vertices / cell).astype(np.int64), axis=0, return_inverse=True)
+        member = member.ravel()
+        count = np.bincount(member)
+        out_vertices = np.stack([np.bincount(member, vertices[:, i]) / count for i in range(3)], axis=1)
+        out_faces = member[faces]
+        a, b, c = out_faces.T
+        out_faces = out_faces[(a != b) & (b != c) & (c != a)]
+        cell *= 1.25
+    return out_vertices, out_faces

@@ -2,8 +2,8 @@
 
 Topics: /joint_states, /joint_targets (commanded positions), /gripper_states (width as position, force as
 effort), /contacts (JSON in a String), /tf, /tf_static, /object_pose/<name>, /planned_trajectory, /events
-(JSON in a String), /camera/<name>/compressed if requested and, if the URDF's text is available,
-/robot_description. Frames: "world" is the root; the robot's links follow its kinematic tree, objects are
+(JSON in a String), /camera/<name>/compressed if requested, /robot_description and the topics of
+`SceneMarkers`. Frames: "world" is the root; the robot's links follow its kinematic tree, objects are
 direct children. The /tf message is the last message of a state. MCAP metadata: "armcell.run" describes
 the run, "armcell.result" its result. Objects that are added to a scene during a run are written as JSON.
 """
@@ -23,7 +23,7 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike, NDArray
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from armcell.core import (
     SE3,
@@ -41,6 +41,8 @@ from armcell.core import (
     shapes,
 )
 from armcell.kinematics import kinematic_tree
+from armcell.model.urdf_writer import urdf_of
+from armcell.records.scene_markers import CONTACTS, LINKS, MARKER_TYPES, OBJECTS, SCENE_UPDATE, SceneMarkers
 from armcell.records.write_behind import WriteBehindFile
 from armcell.scene import WORLD, CollisionObject, PlanningScene
 
@@ -109,7 +111,10 @@ ABOUT, RESULT = "armcell.run", "armcell.result"
 @cache
 def typestore() -> Any:
     """Return the ROS message definitions that the writer of MCAP files uses."""
-    return get_typestore(STORE)
+    store = get_typestore(STORE)
+    for name, text in MARKER_TYPES:
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 def schema_text(message_type: str) -> str:
@@ -151,6 +156,7 @@ class McapWriter:
         self._scene = scene
         self._tree = kinematic_tree(scene.model)
         self._types = typestore().types
+        self._markers = SceneMarkers(self._types, scene.model, scene.objects)
         self._last_ns = 0  # log times never decrease, even if the cell's clock is reset
         self._closed = False
         self._channels: dict[str, int] = {}
@@ -186,6 +192,8 @@ class McapWriter:
             self._touching = bool(sample.contacts)
             rows = [[c.body_a, c.body_b, c.distance, *c.position] for c in sample.contacts]
             self._write("/contacts", "std_msgs/msg/String", time, data=json.dumps(rows))
+        self._write_markers(CONTACTS, time, self._markers.contacts(stamp, time, sample.contacts))
+        self._write_markers(OBJECTS, time, self._markers.objects(stamp, time, object_poses))
         transforms = self._link_transforms(q, self._moving, stamp)
         for name, T in object_poses.items():
             transform, pose = self._both(T)
@@ -200,6 +208,10 @@ class McapWriter:
             )
         self._write("/tf", "tf2_msgs/msg/TFMessage", time, transforms=transforms)
         self._stream.flush()  # write complete chunks to the disk
+
+    def _write_markers(self, topic: str, time: float, update: Any | None) -> None:
+        if update is not None:
+            self._write_message(topic, SCENE_UPDATE, time, update, latched=topic != CONTACTS)
 
     def _write_joints(self, topic: str, time: float, state: JointState) -> None:
         v, effort = ((() if x is None else x) for x in (state.velocities, state.efforts))
@@ -235,6 +247,8 @@ class McapWriter:
         record = {"time": event.time, "kind": event.kind, "text": event.text, "data": event.data}
         text = json.dumps(record, default=_plain, ensure_ascii=False)
         self._write("/events", "std_msgs/msg/String", event.time, data=text)
+        if event.kind == "scene":
+            self._markers.change(event.data)
 
     def write_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
         Point = self._type("trajectory_msgs/msg/JointTrajectoryPoint")
@@ -294,9 +308,9 @@ class McapWriter:
         for name, T in {**roots, **still}.items():
             transforms.append(self._transform(stamp, WORLD, name, self._both(T)[0]))
         self._write("/tf_static", "tf2_msgs/msg/TFMessage", 0.0, latched=True, transforms=transforms)
-        urdf = urdf_text(scene)
-        if urdf is not None:
-            self._write("/robot_description", "std_msgs/msg/String", 0.0, latched=True, data=urdf)
+        urdf = urdf_text(scene) or urdf_of(scene.model)
+        self._write("/robot_description", "std_msgs/msg/String", 0.0, latched=True, data=urdf)
+        self._write_markers(LINKS, 0.0, self._markers.links(stamp))
 
     def _write(
         self,
@@ -307,7 +321,13 @@ class McapWriter:
         metadata: dict[str, str] | None = None,
         **fields: Any,
     ) -> None:
-        data = typestore().serialize_cdr(self._type(message_type)(**fields), message_type)
+        self._write_message(topic, message_type, time, self._type(message_type)(**fields), latched, metadata)
+
+    def _write_message(
+        self, topic: str, message_type: str, time: float, message: Any, latched: bool = False,
+        metadata: dict[str, str] | None = None,
+    ) -> None:  # fmt: skip
+        data = typestore().serialize_cdr(message, message_type)
         now = max(self._nanoseconds(time), self._last_ns)
         self._last_ns = now
         channel = self._channel(topic, message_type, latched, metadata or {})

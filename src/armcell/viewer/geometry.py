@@ -17,7 +17,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
-from armcell.model.assets import DEFAULT_COLOR, load_visual_parts
+from armcell.model.assets import DEFAULT_COLOR, decimated, load_visual_parts
 from armcell.model.robot import Link, Visual
 
 if TYPE_CHECKING:
@@ -117,26 +117,6 @@ def _shaded(mesh: Any, color: Color) -> ColoredMesh:
     vertices, faces = decimated(np.asarray(mesh.vertices), np.asarray(mesh.faces), MAX_FACES)
     split = trimesh.graph.smooth_shade(trimesh.Trimesh(vertices, faces, process=False), angle=SMOOTH_ANGLE)
     return ColoredMesh(np.asarray(split.vertices), np.asarray(split.faces, dtype=np.int32), color)
-
-
-def decimated(vertices: Array, faces: NDArray[Any], max_faces: int) -> tuple[Array, NDArray[Any]]:
-    """Reduce a mesh for the viewer to about `max_faces` triangles by vertex clustering.
-
-    The clustering grid coarsens until the mesh has at most `max_faces` triangles. No vertex moves by more
-    than the diagonal of a grid cell. Never use the result for collision checking.
-    """
-    out_vertices, out_faces = vertices, faces
-    cell = float(np.ptp(vertices, axis=0).max()) / 400
-    while len(out_faces) > max_faces:
-        _, member = np.unique(np.floor(vertices / cell).astype(np.int64), axis=0, return_inverse=True)
-        member = member.ravel()
-        count = np.bincount(member)
-        out_vertices = np.stack([np.bincount(member, vertices[:, i]) / count for i in range(3)], axis=1)
-        out_faces = member[faces]
-        a, b, c = out_faces.T
-        out_faces = out_faces[(a != b) & (b != c) & (c != a)]
-        cell *= 1.25
-    return out_vertices, out_faces
 
 
 # --- viser nodes ---
