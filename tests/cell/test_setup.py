@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,9 +19,11 @@ from armcell.cell.setup import SetupProposal, cell_files, propose, propose_from_
 from armcell.cli.new import write_starter
 from armcell.collision import ExactChecker
 from armcell.collision.self_collision import link_pairs
-from armcell.core import InputError, NamedGoal, PlanRequest
+from armcell.core import Cylinder, InputError, NamedGoal, PlanRequest
 from armcell.model import MoveItConfig, load_robot, parse_urdf
 from armcell.model.setup import UrdfPart
+from armcell.model.setup.gripper_detection import GripperSpec
+from armcell.model.urdf_writer import urdf_of
 from armcell.planning import plan
 
 ROBOTS = {
@@ -152,6 +155,30 @@ def test_one_moving_jaw_picks_and_places(file, tmp_path):
     assert write_starter(load_robot(tmp_path), ".", tmp_path)
     assert "place:" in (tmp_path / "cell.yaml").read_text()
     cell = armcell.load(tmp_path)
+    with cell.connect("sim", seed=0) as live:
+        result = run_task(cell, live, 0, "sim")
+    assert result["success"], result["message"]
+    assert result["unwanted_contacts"] == [] and result["welds"] == []
+
+
+@pytest.mark.slow
+def test_suction_cups_pick_and_place(tmp_path):
+    """A UR10 with two cups whose shapes end at the free lip, as in vendors' descriptions."""
+    model = load_robot("ur10_suction")
+    longer = {
+        name: replace(
+            link, collisions=tuple(replace(c, shape=Cylinder(0.02, 0.042)) for c in link.collisions)
+        )
+        for name, link in model.links.items()
+        if name.endswith("_cup")
+    }
+    file = tmp_path / "ur10_cups.urdf"
+    file.write_text(urdf_of(replace(model, links={**model.links, **longer})))
+    proposal = propose([UrdfPart(file)], SAMPLES, grippers=[GripperSpec.parse("suction")])
+    write_cell(proposal, tmp_path / "cell")
+    assert write_starter(load_robot(tmp_path / "cell"), ".", tmp_path / "cell")
+    assert "place:" in (tmp_path / "cell/cell.yaml").read_text()
+    cell = armcell.load(tmp_path / "cell")
     with cell.connect("sim", seed=0) as live:
         result = run_task(cell, live, 0, "sim")
     assert result["success"], result["message"]

@@ -10,9 +10,11 @@ from PIL import Image
 from tests.cell.test_setup import small_arm
 from tests.cli.helpers import call
 from tests.model.helpers import robot
+from tests.model.test_setup_cups import two_cups
 from tests.model.test_setup_gripper import jaw_parts
 
 from armcell.cell.pictures import AXES, CLOSING, PAD
+from armcell.model import SuctionGripper, load_robot
 
 QUICK = ("--samples", "500")
 
@@ -175,3 +177,38 @@ def test_a_terminal_is_asked_until_the_answer_holds(capsys, tmp_path, monkeypatc
     assert "no two of its moving links move toward each other" in said.words
     assert "closes is 'lower' or 'upper'" in said.words and "l_joint is not a driven joint" in said.words
     assert next(answers, None) is None
+
+
+def suction_robot(folder):
+    """An arm with a body and two suction cups; its joints turn about y, so that it can reach downward."""
+    file = folder / "cups.urdf"
+    text = robot(*two_cups())
+    file.write_text(text.replace('<axis xyz="0 0 1"/>', '<origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>'))
+    return file
+
+
+def test_suction_cups_are_asked_for_and_shown(capsys, tmp_path, monkeypatch):
+    answers = iter(["cups=body", "suction"])
+    monkeypatch.setattr("armcell.cli.setup.is_terminal", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda prompt: next(answers))
+    said = call(capsys, "setup", suction_robot(tmp_path), "-o", tmp_path / "cell", *QUICK)
+    assert said.status == 0, said.err
+    asked, shown = said.words.split("link body has no circle")
+    assert "left_cup, right_cup may be suction cups by name; pass --gripper suction" in asked
+    for text in (
+        "lifted and shaken in physics",
+        "center gripper_tcp at (0, 0, 88) mm in body",
+        "axis z of gripper_tcp, out of the cups: (0.00, 0.00, 1.00) in body",
+        "left_cup at (0, 30, 0) mm in gripper_tcp, radius 20.0 mm, lip 2.0 mm; right_cup at (0, -30, 0) mm",
+        "force 75; 75 N at 60 kPa below ambient, an assumed value",
+        f"picture: {tmp_path}/cell/gripper.png (tcp frame and the rings of the cups)",
+    ):
+        assert text in shown
+    with Image.open(tmp_path / "cell" / "gripper.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    assert all((np.abs(pixels - color).sum(2) < 30).any() for color in (PAD, *AXES.values()))
+    gripper = load_robot(tmp_path / "cell").gripper()
+    assert isinstance(gripper, SuctionGripper)
+    assert [(c.link, c.radius, c.stroke) for c in gripper.cups] == [
+        ("left_cup", 0.02, 0.002), ("right_cup", 0.02, 0.002)
+    ]  # fmt: skip

@@ -19,7 +19,7 @@ from armcell.core import SE3, SO3, CameraImage, Event, JointTrajectory, StateSam
 from armcell.core.geometry import local_bounds
 from armcell.grasping import Hand, hand_of
 from armcell.kinematics import kinematic_tree
-from armcell.model import Gripper, RobotModel, hand_alone
+from armcell.model import Gripper, RobotModel, SuctionGripper, hand_alone
 from armcell.scene import PlanningScene, extent
 from armcell.sim import Camera, SimWorld, render_rgb
 
@@ -109,16 +109,19 @@ PAD, CLOSING, TEXT = (245, 150, 20), (190, 20, 160), (20, 20, 20)
 
 
 def gripper_picture(model: RobotModel, gripper: Gripper) -> Image.Image:
-    """Return a picture of a hand, open on the left and closed on the right.
+    """Return a picture of a hand; jaws are open on the left and closed on the right.
 
-    Lines mark the axes of the tcp frame (x red, y green, z blue), the pads (orange rectangles) and the
-    direction in which the jaws close (purple arrows).
+    Lines mark the axes of the tcp frame (x red, y green, z blue), the pads or the rings of suction cups
+    (orange) and the direction in which the jaws close (purple arrows).
 
     Raises:
         InputError: MuJoCo rejects the hand, or its links have no collision shapes.
     """
     hand = hand_of(model, gripper)
     alone = hand_alone(model, gripper)
+    if isinstance(gripper, SuctionGripper):
+        points = _points(alone, alone.default_positions(), gripper.tcp_link)
+        return _view(alone, hand, gripper.max_width, points, gripper.summary)
     picture = Image.new("RGB", (2 * SIZE, SIZE))
     points = _points(alone, _positions(alone, gripper, gripper.max_width), gripper.tcp_link)
     for column, width in enumerate((gripper.max_width, 0.0)):
@@ -129,7 +132,7 @@ def gripper_picture(model: RobotModel, gripper: Gripper) -> Image.Image:
 
 def _positions(alone: RobotModel, gripper: Gripper, width: float) -> Array:
     q = alone.default_positions()
-    q[alone.columns((gripper.joint_name,))[0]] = gripper.joint_position(width)
+    q[alone.columns(gripper.joint_names)] = gripper.joint_position(width)
     return q
 
 
@@ -161,9 +164,13 @@ def _view(alone: RobotModel, hand: Hand, width: float, points: Array, title: str
             corners = [tip, tip - 9 * along + 5 * across, tip - 9 * along - 5 * across]
             draw.polygon([(float(u), float(v)) for u, v in corners], fill=color)
 
+    if isinstance(gripper, SuctionGripper):
+        angle = np.linspace(0.0, 2 * np.pi, 49)[:, None]
+        for cup, middle in zip(gripper.cups, hand.cups, strict=True):
+            line(middle + cup.radius * np.hstack([np.cos(angle), np.sin(angle), 0 * angle]), PAD)
     center = gripper.center(width).translation
     (x0, z0), (x1, z1) = hand.pad
-    for side in (1.0, -1.0):
+    for side in () if isinstance(gripper, SuctionGripper) else (1.0, -1.0):
         y = side * width / 2
         corners = np.array([(x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1), (x0, y, z0)]) + center
         line(corners, PAD)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from armcell.cell.gripper_proof import GripperProof, with_proven_grippers
 from armcell.cell.setup_poses import with_poses
 from armcell.collision.self_collision import LinkPair, link_pairs
 from armcell.core import InputError
-from armcell.model import Gripper, Joint, RobotModel
+from armcell.model import Gripper, Joint, RobotModel, SuctionGripper
 from armcell.model.loader import is_mjcf, load_mjcf_file, with_keyframes
 from armcell.model.setup import (
     MoveItConfig,
@@ -89,7 +89,7 @@ def propose(
         grippers: facts about the robot's grippers; setup recognizes the rest.
     Raises:
         InputError: a file is invalid, names clash, or the robot has no movable joint; a
-            gripper contradicts the given facts, or does not hold a cube.
+            gripper contradicts the given facts, or does not hold a cube or plate.
     """
     tell = progress or (lambda what, done: None)
     tell("reading", 0)
@@ -104,7 +104,10 @@ def propose(
         name, text = merged_urdf(parts, name)
         model = parse_urdf(text, parts[0].file, warn=False)
     tell("groups and poses", 0)
-    groups = with_groups(model, [p.prefix for p in parts], {fact.drive for fact in grippers})
+    groups = with_groups(
+        model, [p.prefix for p in parts], {fact.drive for fact in grippers},
+        {link for fact in grippers for link in fact.cups},
+    )  # fmt: skip
     model = find_grippers(groups, tips=True, stated=grippers)
     model = with_keyframes(with_poses(model, seed))
     text = with_frames_text(text, model)
@@ -233,7 +236,13 @@ def _gripper_entry(gripper: Gripper) -> dict[str, Any]:
     """Return the robot.yaml entry that the setup assistant writes for a gripper.
     It omits the name and all empty fields.
     """
-    entry = {f.name: getattr(gripper, f.name) for f in fields(Gripper) if f.name != "name"}
+    if isinstance(gripper, SuctionGripper):
+        keys = ("arm_group", "group", "tcp_link", "hand_links", "vacuum", "evacuation", "safety")
+        entry = {"kind": "suction", **{key: getattr(gripper, key) for key in keys}}
+        entry["cups"] = tuple({k: list(v) if isinstance(v, tuple) else v for k, v in asdict(cup).items()}
+                              for cup in gripper.cups)  # fmt: skip
+    else:
+        entry = {f.name: getattr(gripper, f.name) for f in fields(Gripper) if f.name != "name"}
     return {
         key: [list(v) if isinstance(v, tuple) else v for v in value] if isinstance(value, tuple) else value
         for key, value in entry.items()

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 HINT = "to pick and place, pass --gripper, or describe the gripper in robot.yaml (docs/adding_a_gripper.md)"
 QUESTION = (
-    "State the gripper, such as drive=JOINT fingers=LINK,LINK closes=upper (--help explains the words). "
+    "State the gripper, such as drive=JOINT fingers=LINK,LINK closes=upper, or suction (--help explains the "
+    "words). "
     "Press Enter to continue without a gripper."
 )
 HELP = """The option --gripper states what setup does not recognize, as KEY=VALUE words (all optional):
@@ -42,10 +43,15 @@ HELP = """The option --gripper states what setup does not recognize, as KEY=VALU
 
   closes=lower|upper     limit of the driven joint at which it is closed
 
+  suction                it holds by suction cups, which are named like cups
+
+  cups=LINK,LINK         links of the suction cups
+
   end=NAME               end effector, if the robot has several
 
 Setup rejects facts that contradict the meshes, and proves the gripper by closing it on a cube in
-physics. On a terminal, setup asks for these words if it does not recognize a gripper.
+physics, or by lifting a plate with its cups. On a terminal, setup asks for these words if it does not
+recognize a gripper.
 """
 EXAMPLES = f"""
 Examples:
@@ -111,13 +117,29 @@ def show_grippers(proposal: SetupProposal) -> None:
 def _numbers(model: RobotModel, gripper: Gripper) -> dict[str, str]:
     from armcell.grasping import hand_of
     from armcell.kinematics import kinematic_tree
+    from armcell.model import SuctionGripper
 
     g, tree, q = gripper, kinematic_tree(model), model.default_positions()
     palm = g.hand_links[0]
     T = tree.link_pose(q, palm).inverse() @ tree.link_pose(q, g.tcp_link)
-    x, y, z = 1000 * T.translation
-    along = ", ".join(f"{v + 0.0:.2f}" for v in T.rotation.matrix[:, 1].round(2))
+    x, y, z = (1000 * T.translation).round() + 0.0
     out = ", ".join(f"{v + 0.0:.2f}" for v in T.rotation.matrix[:, 2].round(2))
+    center = f"{g.tcp_link} at ({x:.0f}, {y:.0f}, {z:.0f}) mm in {palm}"
+    if isinstance(g, SuctionGripper):
+        places = [
+            f"({a:.0f}, {b:.0f}, {c:.0f}) mm" for a, b, c in (1000 * hand_of(model, g).cups).round() + 0.0
+        ]
+        sizes = [f"{cup.link} at {at} in {g.tcp_link}, radius {1000 * cup.radius:.1f} mm, lip "
+                 f"{1000 * cup.stroke:.1f} mm" for cup, at in zip(g.cups, places)]  # fmt: skip
+        force = "; ".join(f"{g.force(cup):.0f}" for cup in g.cups)
+        return {
+            "center": center,
+            "axis": f"z of {g.tcp_link}, out of the cups: ({out}) in {palm}",
+            "cups": "; ".join(sizes),
+            "force": f"{force} N at {g.vacuum:g} kPa below ambient, an assumed value: put the ejector's "
+            "vacuum into robot.yaml",
+        }
+    along = ", ".join(f"{v + 0.0:.2f}" for v in T.rotation.matrix[:, 1].round(2))
     (x0, z0), (x1, z1) = 1000 * hand_of(model, g).pad
     limits = model.joint(g.joint_name).limits
     ends = [min(max(g.joint_position(w), limits.lower), limits.upper) for w in (0.0, g.max_width)]
@@ -126,7 +148,7 @@ def _numbers(model: RobotModel, gripper: Gripper) -> dict[str, str]:
     return {
         "opening": f"{least:.0f} to {1000 * g.max_width:.0f} mm ({moved})",
         "closing": f"along y of {g.tcp_link}: ({along}) in {palm}; out of the hand: ({out})",
-        "center": f"{g.tcp_link} at ({x:.0f}, {y:.0f}, {z:.0f}) mm in {palm}",
+        "center": center,
         "pads": f"{x1 - x0:.0f} x {z1 - z0:.0f} mm, on {' and '.join(g.finger_links)}",
         "force": f"{g.max_force:.0f} N per finger",
     }
@@ -176,8 +198,9 @@ def write_pictures(proposal: SetupProposal, folder: Path) -> None:
         except Exception as error:  # a picture is no reason to fail on a machine without graphics
             console.print(f"no picture of {gripper.name}: {error}", markup=False, soft_wrap=True)
         else:
-            console.print(f"picture: {file} (open and closed, with tcp frame, pads and closing direction)",
-                          markup=False, soft_wrap=True)  # fmt: skip
+            shown = "tcp frame and the rings of the cups" if gripper.joint_name == "" else (
+                "open and closed, with tcp frame, pads and closing direction")  # fmt: skip
+            console.print(f"picture: {file} ({shown})", markup=False, soft_wrap=True)
 
 
 def setup(

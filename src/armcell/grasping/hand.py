@@ -14,6 +14,7 @@ from armcell.core.geometry import local_bounds
 from armcell.grasping.hand_fit_kernel import MARGIN, WIDER
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel, SuctionGripper
+from armcell.model.grippers import RING_THICKNESS
 
 Array = NDArray[np.float64]
 
@@ -67,6 +68,7 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
     T_tcp_world = gripper.center(width).inverse() @ tree.link_pose(q, gripper.tcp_link).inverse()
     sides = {gripper.finger_links[0]: "left", gripper.finger_links[-1]: "right"} if gripper.curve else {}
     groups: dict[str, list[Array]] = {"palm": [], "left": [], "right": []}
+    cups = gripper.cups if isinstance(gripper, SuctionGripper) else ()
     for name in gripper.hand_links:
         T_tcp_link = T_tcp_world @ tree.link_pose(q, name)
         for collision in model.links[name].collisions:
@@ -80,6 +82,12 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
                     center, half = local_bounds(piece)
                     middle, reach = T.apply(center), np.abs(T.rotation.matrix) @ half
                     box = np.concatenate([middle - reach, middle + reach])
+                lips = [
+                    (T_tcp_link @ cup.T_link_cup).translation[2]
+                    for cup in cups
+                    if cup.link == name and cup.lip_reaches(shape, collision.T_link_shape)
+                ]
+                box[5] = min([box[5], *(z - RING_THICKNESS for z in lips)])  # a held surface bends the lip
                 side = sides.get(name, "left" if box[1] + box[4] > 0 else "right")
                 if name not in gripper.finger_links:
                     side = "palm"
@@ -87,9 +95,9 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
                     box[[1, 4]] += width / 2 if side == "right" else -width / 2
                 groups[side].append(box)
     if isinstance(gripper, SuctionGripper):
-        cups = [(T_tcp_world @ tree.link_pose(q, c.link) @ c.T_link_cup).translation for c in gripper.cups]
+        centers = [(T_tcp_world @ tree.link_pose(q, c.link) @ c.T_link_cup).translation for c in cups]
         palm, none = np.array(groups["palm"]).reshape(-1, 6), np.zeros((0, 6))
-        return Hand(gripper, palm, none, none, np.zeros((2, 2)), cups=np.array(cups))
+        return Hand(gripper, palm, none, none, np.zeros((2, 2)), cups=np.array(centers))
     if not groups["left"] or not groups["right"]:
         raise InputError(
             f"gripper {gripper.name!r} has no collision shapes on both sides of its tcp",

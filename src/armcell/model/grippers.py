@@ -13,12 +13,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, InputError, JointState
+from armcell.core import SE3, InputError, JointState, Shape
 from armcell.core.checks import checked
+from armcell.core.geometry import extent
 
 Array = NDArray[np.float64]
 
 MAX_STROKE = 0.004  # [m] physics tests a cup for contact up to this distance
+RING_THICKNESS = 0.001  # [m] a rigid shape of a cup ends this far behind the ring
 ATMOSPHERE = 101.3  # [kPa]
 VACUUM_OFF = 0.01  # [m] width that a suction gripper reports while its vacuum is off
 
@@ -164,6 +166,15 @@ class SuctionCup:
     @property
     def T_link_cup(self) -> SE3:
         return SE3.from_xyz_rpy(self.xyz, self.rpy)
+
+    def lip_reaches(self, shape: Shape, T_link_shape: SE3) -> bool:
+        """Return whether a collision shape of the cup's link includes the flexible lip of the cup.
+
+        Descriptions of cups usually end at the free lip, in front of the ring. In physics, the ring replaces
+        such a shape.
+        """
+        T = self.T_link_cup.inverse() @ T_link_shape
+        return extent(shape, T.rotation.matrix[2])[1] + T.translation[2] > 1e-6 - RING_THICKNESS
 
     @property
     def area(self) -> float:

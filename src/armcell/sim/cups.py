@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.model import RobotModel, SuctionCup, SuctionGripper
+from armcell.model.grippers import RING_THICKNESS
 
 Array = NDArray[np.float64]
 
 RING = 8  # spheres per cup
-BEAD = 0.001  # [m] radius of the spheres
+BEAD = RING_THICKNESS  # [m] radius of the spheres
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +29,14 @@ class CupIndex:
     owner: int  # index of the cup's link among the owners
 
 
-def add_cups(spec: mujoco.MjSpec, bodies: dict[str, Any], gripper: SuctionGripper) -> None:
+def add_cups(spec: mujoco.MjSpec, bodies: dict[str, Any], model: RobotModel, gripper: SuctionGripper) -> None:
     """Add the suction cups of a gripper to a MuJoCo spec: a ring of spheres and a vacuum actuator for each
     cup.
+
+    Collision shapes that include a cup's flexible lip lose their contacts.
     """
     for k, cup in enumerate(gripper.cups):
+        _soften(bodies[cup.link], model, cup)
         T, name = cup.T_link_cup, cup_name(gripper.name, k)
         body = bodies[cup.link].add_body(name=name, pos=T.translation, quat=T.quat_wxyz)
         body.explicitinertial = True
@@ -44,6 +48,17 @@ def add_cups(spec: mujoco.MjSpec, bodies: dict[str, Any], gripper: SuctionGrippe
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_BODY)
         actuator.set_to_adhesion(gain=gripper.force(cup))
         actuator.ctrllimited, actuator.ctrlrange = True, [0.0, 1.0]
+
+
+def _soften(body: Any, model: RobotModel, cup: SuctionCup) -> None:
+    """Disable the contacts of the geoms that include the lip of a cup; an MJCF body loses all contacts."""
+    solids = model.links[cup.link].collisions
+    soft = [i for i, c in enumerate(solids) if cup.lip_reaches(c.shape, c.T_link_shape)]
+    names = tuple(f"{cup.link}:{i}" for i in soft)
+    own = any(cup.link in part.links for part in model.mjcf)
+    for geom in body.geoms:
+        if soft and (own or geom.name in names or geom.name.startswith(tuple(f"{n}." for n in names))):
+            geom.contype = geom.conaffinity = 0
 
 
 def ring_points(cup: SuctionCup, count: int) -> Array:

@@ -270,7 +270,7 @@ def build(
     add_arm_actuators(spec, scene.model, settings)
     for gripper in scene.model.grippers.values():
         if isinstance(gripper, SuctionGripper):
-            add_cups(spec, bodies, gripper)
+            add_cups(spec, bodies, scene.model, gripper)
         else:
             add_gripper(spec, scene.model, gripper, settings)
     for name, item in objects.items():

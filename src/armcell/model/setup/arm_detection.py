@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from armcell.core import InputError
 from armcell.model.robot import EndEffector, Group, Joint, RobotModel
+from armcell.model.setup.cup_names import cup_links
 
 JAW = re.compile(r"grip|finger|jaw|claw|knuckle|thumb|pincer", re.IGNORECASE)
 TOOL = re.compile(r"tcp|tool|grasp|pinch|ee_link|ee_site|end_effector|attachment|gripper$", re.IGNORECASE)
@@ -29,7 +30,7 @@ class ArmChain:
     palm: str | None = None
 
 
-def find_chains(model: RobotModel, jaws: Collection[str] = ()) -> list[ArmChain]:
+def find_chains(model: RobotModel, jaws: Collection[str] = (), cups: Collection[str] = ()) -> list[ArmChain]:
     """Return the arm chains of a robot: joints in series that end at a leaf link or at the fingers of a
     gripper.
 
@@ -38,14 +39,20 @@ def find_chains(model: RobotModel, jaws: Collection[str] = ()) -> list[ArmChain]
 
     Args:
         jaws: names of joints that move jaws, in addition to the joints with typical names.
+        cups: names of links that are suction cups, in addition to the links with typical names.
     """
     found: list[ArmChain] = []
-    _follow(model, model.root_link, found, jaws)
+    _follow(model, model.root_link, found, jaws, cups)
     longest = max((len(c.joints) for c in found), default=0)
     return [c for c in found if 2 * len(c.joints) >= longest]
 
 
-def with_groups(model: RobotModel, prefixes: Sequence[str] = (), jaws: Collection[str] = ()) -> RobotModel:
+def with_groups(
+    model: RobotModel,
+    prefixes: Sequence[str] = (),
+    jaws: Collection[str] = (),
+    cups: Collection[str] = (),
+) -> RobotModel:
     """Return the robot with planning groups for the arm chains and grippers that were detected.
 
     A robot with several arms that share no joint also gets a group of all arms: `both_arms` for two,
@@ -55,10 +62,11 @@ def with_groups(model: RobotModel, prefixes: Sequence[str] = (), jaws: Collectio
         model: the robot.
         prefixes: name prefixes of the robots that `model` is composed of; group names start with them.
         jaws: names of joints that move jaws, in addition to the joints with typical names.
+        cups: names of links that are suction cups, in addition to the links with typical names.
     Raises:
         InputError: the robot has no movable joint.
     """
-    chains = find_chains(model, jaws)
+    chains = find_chains(model, jaws, cups)
     if not chains:
         return replace(model, **_only_a_gripper(model))
     groups: dict[str, Group] = {}
@@ -106,7 +114,13 @@ def _only_a_gripper(model: RobotModel) -> dict[str, dict[str, Group]]:
 
 
 # --- the tree ---
-def _follow(model: RobotModel, link: str, found: list[ArmChain], names_of_jaws: Collection[str]) -> None:
+def _follow(
+    model: RobotModel,
+    link: str,
+    found: list[ArmChain],
+    names_of_jaws: Collection[str],
+    cups: Collection[str],
+) -> None:
     """Detect the arm chains that start at or below a link and append them to `found`."""
 
     def is_jaw(joint: Joint) -> bool:
@@ -119,7 +133,9 @@ def _follow(model: RobotModel, link: str, found: list[ArmChain], names_of_jaws: 
         row, ends = _row(model, first)
         below = [_depth(model, j) for j in ends]
         if ends and not (len(row) >= HAND_AFTER and max(below) < len(row)):
-            _follow(model, row[-1].child, found, names_of_jaws)  # `row` is a torso: the arms are further down
+            _follow(
+                model, row[-1].child, found, names_of_jaws, cups
+            )  # `row` is a torso: the arms are further down
             continue
         driven, jaws = row, ends
         if len(driven) > 1 and not ends and is_jaw(driven[-1]):
@@ -129,7 +145,11 @@ def _follow(model: RobotModel, link: str, found: list[ArmChain], names_of_jaws: 
         names = tuple(j.name for j in driven if j.actuated)
         if not names or all(is_jaw(j) for j in driven):
             continue
-        palm = common_link(model, [j.parent for j in jaws]) if jaws else _fixed_hand(model, driven[-1].child)
+        last = driven[-1].child
+        if jaws:
+            palm = common_link(model, [j.parent for j in jaws])
+        else:
+            palm = _fixed_hand(model, last) or _suction_hand(model, last, cups)
         tip = _tip(model, driven[-1].child, palm)
         found.append(ArmChain(driven[0].parent, tip, names, palm))
 
@@ -210,6 +230,21 @@ def _fixed_hand(model: RobotModel, last: str) -> str | None:
         if link != last and len(branches) > 1:
             return link
     return None
+
+
+def _suction_hand(model: RobotModel, last: str, cups: Collection[str]) -> str | None:
+    """Return the link of a suction gripper that is mounted on a detected arm chain, or None if no link behind
+    the arm is a suction cup by name or in `cups`.
+
+    The link is the first link with geometry that carries all cups, or `last` if there is none.
+    """
+    rigid = _rigid_below(model, last)[1:]
+    found = [n for n in rigid if n in cups] or list(cup_links(model, rigid))
+    if not found:
+        return None
+    carrier = common_link(model, found)
+    carriers = [n for n in rigid if carrier in model.subtree(n) and model.links[n].collisions]
+    return carriers[0] if carriers else carrier
 
 
 def _tip(model: RobotModel, last: str, palm: str | None) -> str:

@@ -1,8 +1,9 @@
-"""Recognition of grippers with two jaws: derives robot.yaml's gripper parameters from joints and meshes.
+"""Recognition of grippers with jaws or cups: derives robot.yaml's gripper parameters from joints and meshes.
 
 The jaws may slide, move on a coupled linkage (Robotiq, xArm), or be one moving and one fixed jaw. The closing
 direction follows from the jaws' motion, the pads from the surfaces that face each other when the gripper is
-closed, and the opening from the pads' distance at every position of the driven joint.
+closed, and the opening from the pads' distance at every position of the driven joint. Links that are named
+like suction cups become a suction gripper only if the user states it (`cups.py`).
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ import numpy as np
 from armcell.core import InputError, UnknownNameError
 from armcell.model.composition import with_tip
 from armcell.model.robot import EndEffector, RobotModel
+from armcell.model.setup.cup_names import cup_links
+from armcell.model.setup.cups import with_suction_gripper
 from armcell.model.setup.hand_geometry import GripperNotRecognizedError, HandGeometry, driver_of
 from armcell.model.setup.jaws import find_jaws
 from armcell.model.setup.pads import with_measured_gripper
 
 logger = logging.getLogger(__name__)
 
-KEYS = ("end", "drive", "fingers", "tcp", "closes")
-FORMAT = "drive=JOINT fingers=LINK,LINK tcp=LINK closes=lower|upper"
+KEYS = ("end", "drive", "fingers", "tcp", "closes", "cups")
+SUCTION = "suction"
+FORMAT = "drive=JOINT fingers=LINK,LINK tcp=LINK closes=lower|upper; or suction cups=LINK,LINK tcp=LINK"
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,8 @@ class GripperSpec:
         fingers: links of the jaws on both sides; empty: recognized.
         tcp: link of the tool center, y in the closing direction, z out of the hand; empty: recognized.
         closes: limit of the driven joint at which the jaws are closed, "lower" or "upper"; empty: recognized.
+        suction: whether the gripper holds by suction cups.
+        cups: links of the suction cups; empty: the links that are named like cups.
     """
 
     end: str = ""
@@ -44,17 +50,22 @@ class GripperSpec:
     fingers: tuple[tuple[str, ...], ...] = ()
     tcp: str = ""
     closes: str = ""
+    suction: bool = False
+    cups: tuple[str, ...] = ()
 
     @classmethod
     def parse(cls, text: str) -> GripperSpec:
         """Parse the user's specification for gripper detection, such as "drive=JOINT fingers=LINK,LINK
-        closes=upper".
+        closes=upper" or "suction".
 
         Raises:
             InputError: the text does not have this format.
         """
         values: dict[str, str] = {}
-        for word in text.split():
+        words = text.split()
+        for word in words:
+            if word == SUCTION:
+                continue
             key, equals, value = word.partition("=")
             if key not in KEYS:
                 raise UnknownNameError("key of --gripper", key, KEYS)
@@ -68,14 +79,19 @@ class GripperSpec:
             raise InputError(
                 f"--gripper {text!r}: closes is 'lower' or 'upper', the limit of the driven joint"
             )
-        return cls(fingers=fingers, **values)
+        cups = tuple(filter(None, values.pop("cups", "").split(",")))
+        suction = bool(cups) or SUCTION in words
+        if suction and (wrong := sorted({"drive", "closes"} & set(values)) + ["fingers"] * bool(fingers)):
+            raise InputError(f"--gripper {text!r}: a suction gripper has no {', '.join(wrong)}", hint=FORMAT)
+        return cls(fingers=fingers, suction=suction, cups=cups, **values)
 
 
 def find_grippers(model: RobotModel, tips: bool = False, stated: Sequence[GripperSpec] = ()) -> RobotModel:
-    """Return the robot with a `Gripper` for each end effector with two jaws and one driven joint.
+    """Return the robot with a `Gripper` for each end effector with two jaws and one driven joint, and with a
+    `SuctionGripper` for each end effector of which the user states it.
 
-    If no frame of the robot is at the pads' center, the robot gets a link `<end effector>_tcp` there. Log
-    messages state why an end effector has no gripper.
+    If no frame of the robot is at the center of the pads or cups, the robot gets a link `<end effector>_tcp`
+    there. Log messages state why an end effector has no gripper.
 
     Args:
         tips: whether the tool center becomes the tip of the arm's group.
@@ -127,7 +143,7 @@ def _by_end(model: RobotModel, stated: Sequence[GripperSpec]) -> dict[str, Gripp
                 f"end effector {name!r} is stated twice", hint="give --gripper once per end effector"
             )
         facts[name] = fact
-        for link in (fact.tcp, *(link for side in fact.fingers for link in side)):
+        for link in (fact.tcp, *fact.cups, *(link for side in fact.fingers for link in side)):
             if link:
                 model.link(link)
     return facts
@@ -138,8 +154,10 @@ def _only_end(model: RobotModel) -> str:
         return next(iter(model.end_effectors))
     if not model.end_effectors:
         raise InputError(
-            "the robot has no end effector: no joints branch off behind the arm",
-            hint="--gripper drive=JOINT makes the link behind JOINT a jaw",
+            "the robot has no end effector: no joints branch off behind the arm, and no link is named like a "
+            "suction cup",
+            hint="--gripper drive=JOINT makes the link behind JOINT a jaw, --gripper cups=LINK,LINK makes "
+            "links suction cups",
         )
     names = ", ".join(model.end_effectors)
     raise InputError(
@@ -148,7 +166,14 @@ def _only_end(model: RobotModel) -> str:
 
 
 def _with_gripper(model: RobotModel, end: EndEffector, fact: GripperSpec) -> RobotModel:
+    if fact.suction:
+        return with_suction_gripper(model, end, fact.cups, fact.tcp)
     driven = model.groups[end.group].joint_names
+    if not driven and (cups := cup_links(model, model.groups[end.group].link_names)):
+        raise GripperNotRecognizedError(
+            f"{', '.join(cups)} may be suction cups by name",
+            "pass --gripper suction, or --gripper cups=LINK,LINK with the links of the cups",
+        )
     if fact.drive and fact.drive not in driven:
         raise GripperNotRecognizedError(
             f"drive: {fact.drive} is not a driven joint of it; those are {', '.join(driven)}"
