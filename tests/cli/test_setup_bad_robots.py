@@ -97,10 +97,36 @@ def test_a_missing_argument(setup):
     assert "r.urdf.xacro:1: " in said and "--xacro-arg dof:=VALUE" in said
 
 
+def test_an_argument_without_a_default_and_a_macro_without_its_parameter(setup):
+    head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    said = setup(f'{head}\n<xacro:arg name="dof"/></robot>', "r.urdf.xacro", status=1)
+    assert "r.urdf.xacro:2: " in said and "argument 'dof' has no default" in said
+    assert '(add default="..."; --xacro-arg NAME:=VALUE overrides it)' in said
+    macro = '<xacro:macro name="m" params="x y"><link name="${x}"/></xacro:macro>'
+    said = setup(f'{head}\n{macro}\n<xacro:m x="a"/></robot>', "r.urdf.xacro", status=1)
+    assert "r.urdf.xacro:3: " in said and "macro 'm' needs the parameters y (add y=\"...\")" in said
+
+
 WARNED = {
     "degrees": (
         arm(first=joint("j1", "base", "l1", limit=LIMIT.format(-170, 170))),
-        ("r.urdf:4: the limits of joint 'j1', -170 to 170 rad, look like degrees: URDF has radians",),
+        ("r.urdf:4: the limits of joint 'j1', -170 to 170 rad, look like degrees: use radians",),
+    ),
+    "limits in millimeters": (
+        arm(first=joint("j1", "base", "l1", "prismatic", limit=LIMIT.format(0, 300))),
+        ("r.urdf:4: the limits of joint 'j1', 0 to 300 m, look like millimeters: use meters",),
+    ),
+    "origin in millimeters": (
+        arm(first=joint("j1", "base", "l1", inside='<origin xyz="0 0 330"/><axis xyz="0 0 1"/>')),
+        ("r.urdf:4: the origin of <joint> j1, 0 0 330 m, looks like millimeters: use meters",),
+    ),
+    "rotation in degrees": (
+        arm(first=joint("j1", "base", "l1", inside='<origin rpy="90 0 0"/><axis xyz="0 0 1"/>')),
+        ("r.urdf:4: the rotation of <joint> j1, 90 0 0 rad, looks like degrees: use radians",),
+    ),
+    "limit without a range": (
+        arm(first=joint("j1", "base", "l1", limit='<limit velocity="1" effort="50"/>')),
+        ("r.urdf:4: joint 'j1' cannot move: lower and upper are both 0; set lower= and upper=",),
     ),
     "zero inertia": (
         arm(body=body('ixx="0" iyy="0" izz="0"')),

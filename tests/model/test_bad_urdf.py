@@ -32,7 +32,16 @@ BAD = {
     ),
     "nameless link": (("<link/>",), ":2: <link>", "attribute 'name' is missing"),
     "two roots": (AB, "2 root links (a, b)", "exactly one is needed"),
-    "loop": ((*AB, joint("j", "a", "b"), joint("k", "b", "a")), "no root link", "closes the loop"),
+    "loop": (
+        (*AB, joint("j", "a", "b"), joint("k", "b", "a")),
+        ":4: <joint name='j'>",
+        "joints j, k form a loop and no link is the root (remove the joint that closes the loop)",
+    ),
+    "loop with a branch": (
+        (link("x"), *AB, joint("i", "b", "x"), joint("j", "a", "b"), joint("k", "b", "a")),
+        ":6: <joint name='j'>",
+        "joints j, k form a loop and no link is the root",
+    ),
     "loop apart": (
         (*AB, link("c"), joint("j", "a", "b"), joint("k", "b", "a")),
         ":5: <joint name='j'>",

@@ -18,13 +18,12 @@ from lxml import etree
 from armcell.core import SE3, Format, InputError, Mesh, Shape, named_shapes
 from armcell.model.assets import load_mesh, package_above, resolve_uri
 from armcell.model.robot import Collision, Inertial, Joint, JointLimits, Link, Mimic, RobotModel, Visual
+from armcell.model.units import LARGEST_LINK, limit_faults, origin_faults
 from armcell.model.untrusted_files import parse_xml, read_text
 from armcell.model.xacro import Place, expand_with_source_locations, expand_xacro
 
 logger = logging.getLogger(__name__)
 
-LARGEST_LINK = 20.0  # [m] larger meshes of a link are in millimeters
-DEGREES = 30.0, 720.0  # limits [rad] in this range are more likely degrees
 MAX_LISTED = 500  # xacro files of a package that are searched for callers of a macro
 JOINT_TYPES = {"revolute", "continuous", "prismatic", "fixed", "floating", "planar"}
 
@@ -133,9 +132,10 @@ class _Reader:
         origin = element.find("origin")
         if origin is None:
             return SE3.identity()
-        return SE3.from_xyz_rpy(
-            self.numbers(origin, "xyz", 3, "0 0 0"), self.numbers(origin, "rpy", 3, "0 0 0")
-        )
+        xyz, rpy = self.numbers(origin, "xyz", 3, "0 0 0"), self.numbers(origin, "rpy", 3, "0 0 0")
+        for text in origin_faults(f"<{element.tag}> {element.get('name', '')}".rstrip(), xyz, rpy):
+            self.report(origin, "%s", text)
+        return SE3.from_xyz_rpy(xyz, rpy)
 
     def robot(self) -> RobotModel:
         root = self.root
@@ -224,13 +224,14 @@ class _Reader:
             children[joint.parent].append(joint)
         roots = [name for name in links if name not in parent]
         if len(roots) != 1:
-            what = (
-                f"{len(roots)} root links ({', '.join(roots[:5])})"
-                if roots
-                else "a loop of joints and no root link"
-            )
-            hint = "join the parts with fixed joints" if roots else "remove the joint that closes the loop"
-            raise InputError(f"has {what}, exactly one is needed", file=self.file, hint=hint)
+            if not roots:  # each link has a parent: going up from any link ends in the loop
+                up = [next(iter(links))]
+                while (link := joints[parent[up[-1]]].parent) not in up:
+                    up.append(link)
+                around = up[up.index(link) :]
+                raise self.loop([n for n in joints if joints[n].child in around], "and no link is the root")
+            what = f"has {len(roots)} root links ({', '.join(roots[:5])}), exactly one is needed"
+            raise InputError(what, file=self.file, hint="join the parts with fixed joints")
         ordered: dict[str, Joint] = {}
         stack = list(reversed(children[roots[0]]))
         while stack:
@@ -238,13 +239,12 @@ class _Reader:
             ordered[joint.name] = joint
             stack.extend(reversed(children[joint.child]))
         if len(ordered) != len(joints):
-            lost = sorted(set(joints) - set(ordered))
-            raise self.fail(
-                self.joints[lost[0]],
-                f"joints {', '.join(lost[:5])} form a loop apart from the root",
-                "remove the joint that closes the loop",
-            )
+            raise self.loop(sorted(set(joints) - set(ordered)), "apart from the root")
         return roots[0], ordered
+
+    def loop(self, names: list[str], where: str) -> InputError:
+        text = f"joints {', '.join(names[:5])} form a loop {where}"
+        return self.fail(self.joints[names[0]], text, "remove the joint that closes the loop")
 
     def color(self, material: etree._Element) -> tuple[float, float, float, float] | None:
         color = material.find("color")
@@ -429,9 +429,8 @@ class _Reader:
         upper = self.number(limit, "upper", 0.0) if bounded else np.inf
         if lower > upper:
             raise self.fail(limit, f"lower {lower:g} is above upper {upper:g}")
-        if type_ == "revolute" and DEGREES[0] <= max(abs(lower), abs(upper)) <= DEGREES[1]:
-            text = "the limits of joint %r, %g to %g rad, look like degrees: URDF has radians"
-            self.report(limit, text, element.get("name"), lower, upper)
+        for text in limit_faults(str(element.get("name")), type_, lower, upper):
+            self.report(limit, "%s", text)
         positive = lambda v: v if v > 0 else np.inf  # noqa: E731  (0 means "no limit" in many files)
         return JointLimits(
             lower,

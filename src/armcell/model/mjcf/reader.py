@@ -27,6 +27,7 @@ from armcell.model.robot import (
     Servo,
     Visual,
 )
+from armcell.model.units import limit_faults
 
 logger = logging.getLogger(__name__)
 
@@ -183,6 +184,8 @@ class _Reader:
             T = T @ (SE3(SO3.identity(), -ref * axis) if slides else SE3(SO3.exp(-ref * axis), np.zeros(3)))
         limited = bool(m.jnt_limited[i])
         low, high = (float(v) for v in m.jnt_range[i]) if limited else (-np.inf, np.inf)
+        for text in limit_faults(name, "prismatic" if slides else "revolute", low, high):
+            logger.warning("%s: %s", self.file, text)
         rule = self.couplings.rules.get(i)
         servo, effort = self.servo(i)
         dof = int(m.jnt_dofadr[i])

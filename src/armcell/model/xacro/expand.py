@@ -321,9 +321,13 @@ class _Expansion:
         target.put(name, value, lazy)
 
     def _argument(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        name, default = _needed(source, "name"), _needed(source, "default")
+        name, default = _needed(source, "name"), source.get("default")
+        if default is None:
+            raise XacroError(
+                f"argument {name!r} has no default", 'add default="..."; --xacro-arg NAME:=VALUE overrides it'
+            )
         if name not in self.substitution.values:
-            self.substitution.values[name] = self._text(default, scope)
+            self.substitution.values[name] = self._text(str(default), scope)
 
     def _if(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
         if self._holds(source, scope):
@@ -425,7 +429,8 @@ class _Expansion:
                 continue
             del missing[parameter.name]
         if missing:
-            raise XacroError(f"macro {name!r} needs the parameters {', '.join(missing)}")
+            words = " ".join(f'{parameter}="..."' for parameter in missing)
+            raise XacroError(f"macro {name!r} needs the parameters {', '.join(missing)}", f"add {words}")
         with _pushed(self.macros, name):
             self._inside(macro.body, out, macros_there.inner(), inner)
 
