@@ -24,7 +24,7 @@ from armcell.core.geometry import extent
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel, SuctionGripper, hand_alone
 from armcell.scene import CollisionObject, PlanningScene, solid_inertia
-from armcell.sim.mujoco_model import BuiltModel, build
+from armcell.sim.mujoco_model import BuiltModel, build, compiled
 from armcell.sim.robot import servo_gains
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.suction import Suction
@@ -150,7 +150,7 @@ class _World:
         scene = PlanningScene.of(hand, objects=[thing, support])
         built = build(scene, PhysicsSettings(timestep=settings.timestep, gravity=(0.0, 0.0, 0.0)))
         built.spec.body(SUPPORT).mocap = True
-        mj = built.spec.compile()
+        mj = compiled(built.spec)
         tree = kinematic_tree(hand)
         T_root_tcp = tree.link_pose(hand.default_positions(), gripper.tcp_link)
         center, _ = solid_inertia(item.shapes, 1.0)
@@ -191,8 +191,11 @@ class _World:
         # --- the start
         data = mujoco.MjData(mj)
         q = self.gripper.joint_position(trial.opening)
-        for address, weight in index.joints:
-            data.qpos[address] = q / (len(index.joints) * weight)
+        hand = self.built.scene.model
+        hand_positions = hand.default_positions()
+        hand_positions[hand.columns(self.gripper.joint_names)] = q
+        for name, value in kinematic_tree(hand).full_positions(hand_positions).items():  # closes linkages
+            data.qpos[mj.joint(name).qposadr[0]] = value
         start = self.built.object_qpos[OBJECT]
         data.qpos[start : start + 3], data.qpos[start + 3 : start + 7] = T.translation, T.quat_wxyz
         initial = np.empty(mujoco.mj_stateSize(mj, STATE))

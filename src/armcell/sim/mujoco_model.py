@@ -287,12 +287,17 @@ def build(
                 )
     _add_look(spec)
     try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", UNSAVED)
-            mj = spec.compile()
+        mj = compiled(spec)
     except ValueError as error:
         raise InputError(f"physics cannot be built for {scene.model.name!r}: {error}") from None
     return indexed(scene, settings, spec, mj, objects)
+
+
+def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a MuJoCo spec, without MuJoCo's warning about models that are saved as XML."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", UNSAVED)
+        return spec.compile()
 
 
 # --- options and look ---
