@@ -99,6 +99,7 @@ def written(folder, fingers: str, coupling: str, drive: str):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("tendon", "closed linkage")
 def test_an_arm_with_coupled_fingers_picks_and_places(hand, tmp_path, capsys, caplog):
     *parts, opening, tolerance = hand
     with warnings.catch_warnings():

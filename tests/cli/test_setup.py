@@ -187,6 +187,7 @@ def suction_robot(folder):
     return file
 
 
+@pytest.mark.slow
 def test_suction_cups_are_asked_for_and_shown(capsys, tmp_path, monkeypatch):
     answers = iter(["cups=body", "suction"])
     monkeypatch.setattr("armcell.cli.setup.is_terminal", lambda: True)

@@ -115,6 +115,7 @@ def test_a_mesh_with_four_cups_in_any_frame(tmp_path, rpy):
         np.testing.assert_allclose(T.rotation.matrix[:, 2], [0, 0, 1], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cylinders", "mesh"])
 def test_the_cups_lift_a_plate(tmp_path, kind):
     model, gripper = found(two_cups() if kind == "cylinders" else mesh_cup(hollow(0.006), tmp_path))

@@ -72,6 +72,9 @@ def vertices(topics, entity):
     return np.concatenate([in_world(topics, entity, t).apply(p) for t, p in zip(entity.triangles, points)])
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def scene():
     return panda_scene()
