@@ -265,16 +265,16 @@ class Sorter:
         """Every motion begins when both arms are ready for theirs, so that both end before the next; but
         over one tray they are one after the other."""
         ctx = arm._ctx
-        clear = ctx.clear
+        request_start = ctx.request_start
 
         def together(motion):
             over = list(self.over.values())
             if len(over) != 1 and len(set(over)) == len(over):
                 arm.rendezvous(f"motion {self.begun[arm.group]}")
                 self.begun[arm.group] += 1
-            return clear(motion)
+            return request_start(motion)
 
-        ctx.clear = together
+        ctx.request_start = together
 
 
 def tray_of(cube: str) -> str:
