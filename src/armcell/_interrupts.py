@@ -229,21 +229,31 @@ def silent_helpers() -> Iterator[None]:
     """Protect processes that are started inside the `with` block from interrupts (SIGINT, SIGTERM), and
     discard their error output.
 
-    The import of glfw starts a process that prints a traceback if this process ends first.
+    The import of glfw starts a process for each library that it finds, and the process prints a traceback if
+    this process ends first. glfw starts no process if PYGLFW_LIBRARY names a library, such as the one in
+    glfw's wheel.
     """
     import subprocess
+    from importlib.util import find_spec
 
     class Silent(subprocess.Popen):  # type: ignore[type-arg]
         def __init__(self, *args: Any, **kwargs: Any):
             super().__init__(*args, **{"stderr": subprocess.DEVNULL, **kwargs})
 
+    glfw = find_spec("glfw")
+    bundled = os.path.join(os.path.dirname((glfw and glfw.origin) or ""), "x11", "libglfw.so")
+    unset = "PYGLFW_LIBRARY" not in os.environ and os.path.isfile(bundled)
     before = subprocess.Popen
     subprocess.Popen = Silent  # type: ignore[misc]
+    if unset and os.environ.get("XDG_SESSION_TYPE") != "wayland":
+        os.environ["PYGLFW_LIBRARY"] = bundled
     try:
         with unsignaled():
             yield
     finally:
         subprocess.Popen = before  # type: ignore[misc]
+        if unset:
+            os.environ.pop("PYGLFW_LIBRARY", None)
 
 
 class SteadyLock:

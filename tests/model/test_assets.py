@@ -144,6 +144,37 @@ def test_a_broken_mesh_is_one_clear_line(tmp_path, within, name, data):
     assert "r.urdf:2: <mesh>: " in text and name in text and "\n" not in text
 
 
+def test_visual_meshes_are_parsed_once_per_content(tmp_path, monkeypatch):
+    monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path / "cache"))
+    parts = [trimesh.creation.box((0.1, 0.2, 0.3)), trimesh.creation.icosphere(radius=0.1)]
+    for part, rgba in zip(parts, ([200, 10, 10, 255], [10, 10, 200, 255]), strict=True):
+        part.visual = trimesh.visual.TextureVisuals(
+            material=trimesh.visual.material.PBRMaterial(baseColorFactor=rgba)
+        )
+    first, copy = tmp_path / "first.glb", tmp_path / "copy.glb"
+    first.write_bytes(trimesh.Scene(parts).export(file_type="glb"))
+    copy.write_bytes(first.read_bytes())
+    parsed = load_visual_parts(first, (1.0, 2.0, 1.0))
+    with monkeypatch.context() as patch:
+        patch.setattr(trimesh, "load", None)
+        stored = load_visual_parts(copy, (1.0, 2.0, 1.0))
+    assert len(stored) == len(parsed) == 2
+    for (mesh, color), (other, same) in zip(stored, parsed, strict=True):
+        assert color == same and np.array_equal(mesh.faces, other.faces)
+        assert np.array_equal(mesh.vertices, other.vertices)
+    assert {color for _, color in stored} == {(0.784, 0.039, 0.039, 1.0), (0.039, 0.039, 0.784, 1.0)}
+
+
+def test_an_obj_file_gets_the_present_colors_of_its_material_file(tmp_path, monkeypatch):
+    monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path / "cache"))
+    path = tmp_path / "part.obj"
+    path.write_text("mtllib part.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl paint\nf 1 2 3\n")
+    for rgb in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)):
+        (tmp_path / "part.mtl").write_text("newmtl paint\nKd {} {} {}\n".format(*rgb))
+        load_visual_parts.cache_clear()
+        assert load_visual_parts(path)[0][1] == (*rgb, 1.0)
+
+
 @pytest.mark.parametrize("load", [load_mesh, lambda path: load_visual_parts(path)[0][0]])
 def test_a_collada_file_has_a_unit_as_in_rviz(tmp_path, load):
     data = trimesh.exchange.dae.export_collada(trimesh.creation.box((100, 200, 300))).decode()

@@ -362,10 +362,38 @@ def load_visual_parts(
     Raises:
         InputError: the file is not readable as a mesh or has no triangles.
     """
+    scale = _scale_to_meters(_checked(path), scale)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read as a mesh: {error}", file=path) from None
+    if path.suffix.lower() not in ONE_FILE or b"mtllib" in content:  # an OBJ's colors are in another file
+        return _read_visual_parts(path, scale)
+    digest = hashlib.sha256(content).hexdigest()
+    key = key_of("visual", version("trimesh"), path.suffix.lower(), repr(scale), digest)
+    stored = recall("meshes", key)
+    if stored is None:
+        parts = _read_visual_parts(path, scale)
+        keep(
+            "meshes", key,
+            vertices=np.concatenate([mesh.vertices for mesh, _ in parts]),
+            faces=np.concatenate([mesh.faces for mesh, _ in parts]),
+            ends=np.cumsum([(len(mesh.vertices), len(mesh.faces)) for mesh, _ in parts], axis=0),
+            colors=np.array([color for _, color in parts]),
+        )  # fmt: skip
+        return parts
+    vertices, faces = (
+        np.split(stored[name], stored["ends"][:-1, i]) for i, name in enumerate(("vertices", "faces"))
+    )
+    colors = [(r, g, b, a) for r, g, b, a in stored["colors"].tolist()]
+    return tuple((Mesh(v, f, path), color) for v, f, color in zip(vertices, faces, colors, strict=True))
+
+
+def _read_visual_parts(path: Path, scale: tuple[float, float, float]) -> tuple[tuple[Mesh, Color], ...]:
+    """Read the visual mesh file of a robot as meshes [m], one for each material, with its RGBA color."""
     import trimesh
 
     try:
-        scale = _scale_to_meters(_checked(path), scale)
         loaded: Any = trimesh.load(path, process=False)
         parts = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
         by_color: dict[Color, list[trimesh.Trimesh]] = {}

@@ -30,29 +30,59 @@ _BACKENDS = ("egl", "osmesa")
 Sides = tuple[float, float, float, float]
 
 
+_DRIVER_VARIABLES = ("CUDA", "DISPLAY", "DRI", "EGL", "GALLIUM", "GL", "LD_", "LIBGL", "MESA", "MUJOCO", "NV")
+"""Beginnings of environment variables that select graphics drivers and devices."""
+
+
 @lru_cache(maxsize=1)
 def gl_backend() -> str | None:
     """Return the OpenGL backend ("egl" or "osmesa") that can render offscreen on this machine.
     Return None if there is none.
 
     The environment variable MUJOCO_GL selects a backend, or disables OpenGL with "off". The test runs in a
-    separate process, because a broken driver may end the process.
+    separate process, because a broken driver may end the process. Later processes use the backend that
+    passed the test, until the machine restarts, a library is installed, or a graphics device or an
+    environment variable of the driver changes.
     """
     chosen = os.environ.get("MUJOCO_GL", "").strip().lower()
     if chosen in _OFF or not sys.platform.startswith("linux"):
         return None
+    from armcell._array_store import keep, key_of, recall  # the test process needs only mujoco
+
+    key = key_of(*_drivers())
+    if (known := recall("gl", key)) is not None and (passed := str(known["backend"])) in _BACKENDS:
+        return passed
     for backend in (chosen,) if chosen in _BACKENDS else _BACKENDS:
+        environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"}
         with contextlib.suppress(OSError, subprocess.TimeoutExpired):
             done = subprocess.run(
                 [sys.executable, __file__, backend],
-                env={k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"},
+                env={**environment, "MUJOCO_GL": backend},  # mujoco then imports only this backend
                 capture_output=True,
                 timeout=30,
                 check=False,
             )
             if done.returncode == 0:
+                keep("gl", key, backend=np.array(backend))
                 return backend
     return None
+
+
+def _drivers() -> list[str]:
+    """Return texts that change when this machine's OpenGL drivers or graphics devices may have changed."""
+    texts = [mujoco.__version__, sys.version]
+    for name, value in sorted(os.environ.items()):
+        if name.lstrip("_").startswith(_DRIVER_VARIABLES):
+            texts.append(f"{name}={value}")
+    for folder in ("/dev", "/dev/dri"):
+        with contextlib.suppress(OSError):
+            texts += sorted(name for name in os.listdir(folder) if name.startswith(("card", "render", "nv")))
+    for file in ("/etc/ld.so.cache", "/usr/share/glvnd/egl_vendor.d", "/etc/glvnd/egl_vendor.d"):
+        with contextlib.suppress(OSError):
+            texts.append(f"{file} {os.stat(file).st_mtime_ns}")
+    with contextlib.suppress(OSError), open("/proc/sys/kernel/random/boot_id", encoding="ascii") as boot:
+        texts.append(boot.read())
+    return texts
 
 
 class GLRenderer:
