@@ -127,7 +127,10 @@ _SUBPACKAGES = {module.name for module in iter_modules(__path__) if module.ispkg
 
 def __getattr__(name: str) -> Any:
     if name in _MODULE_OF:
-        return getattr(import_module(_MODULE_OF[name]), name)
+        from armcell.core.gc_pauses import gc_paused
+
+        with gc_paused():
+            return getattr(import_module(_MODULE_OF[name]), name)
     if name in _SUBPACKAGES:
         return import_module(f"armcell.{name}")
     raise AttributeError(f"module 'armcell' has no attribute {name!r}")

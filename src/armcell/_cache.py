@@ -166,8 +166,11 @@ def source_hash() -> str:
     and all sources with compiled code.
     """
     digest = hashlib.sha256()
-    for file in sorted(Path(__file__).parent.rglob("*.py")):
-        source = file.read_bytes()
+    folders = os.walk(os.path.dirname(__file__))  # a third of the time of Path.rglob
+    files = (os.path.join(folder, name) for folder, _, names in folders for name in names)
+    for file in sorted((file for file in files if file.endswith(".py")), key=lambda file: file.split(os.sep)):
+        with open(file, "rb", buffering=0) as stream:
+            source = stream.read()
         if (b"numba" in source or b"njit" in source) and COMPILES.search(source):
             digest.update(source)
     for package in ("numba", "llvmlite", "numpy"):

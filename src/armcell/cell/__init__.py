@@ -6,6 +6,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from armcell.core.gc_pauses import gc_paused
+
 if TYPE_CHECKING:
     from armcell.cell.built_in import built_in_cells, cell_names
     from armcell.cell.cell import Cell
@@ -70,7 +72,8 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name in _LAZY:
-        return getattr(import_module(_LAZY[name]), name)
+        with gc_paused():
+            return getattr(import_module(_LAZY[name]), name)
     raise AttributeError(f"module 'armcell.cell' has no attribute {name!r}")
 
 

@@ -14,6 +14,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell._array_store import keep, key_of, recall
 from armcell.collision.winding import winding_numbers
 from armcell.core import (
     Box,
@@ -260,7 +261,16 @@ def is_convex(mesh: Mesh) -> bool:
 
     No vertex may be deeper than `CONVEX_DENT` inside the hull.
     """
-    import trimesh  # slow to import, and needed only for meshes
+    key = key_of("convex", mesh.vertices, mesh.faces, f"{CONVEX_EXCESS} {CONVEX_DENT}")
+    stored = recall("meshes", key)
+    if stored is None:
+        stored = {"convex": np.array(_is_convex(mesh))}
+        keep("meshes", key, **stored)
+    return bool(stored["convex"])
+
+
+def _is_convex(mesh: Mesh) -> bool:
+    import trimesh  # slow to import, and needed only for new meshes
     from scipy.spatial import ConvexHull
 
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)

@@ -1,4 +1,4 @@
-"""Prevention of long garbage-collection pauses in programs that must keep time."""
+"""Prevention of garbage collections during imports and in programs that must keep time."""
 
 from __future__ import annotations
 
@@ -21,3 +21,18 @@ def gc_frozen() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
+
+
+@contextmanager
+def gc_paused() -> Iterator[None]:
+    """Prevent garbage collections in a `with` block that creates many objects which stay, such as an import.
+
+    With Python's thresholds, the collections take a fifth of the CPU time of `from armcell.cell import load`.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell._array_store import keep, key_of, recall
 from armcell.core import Capsule, Cylinder, Sphere
 from armcell.grasping.surface import Surface, surface_of
 from armcell.scene import CollisionObject
@@ -55,10 +56,30 @@ def stable_poses(item: CollisionObject) -> tuple[StablePose, ...]:
 
 
 def _rests(surface: Surface) -> list[StablePose]:
-    from scipy.spatial import ConvexHull, QhullError
-
+    """Return the stable resting poses of a surface, from the disk cache if an earlier process computed
+    them.
+    """
     corners = surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
     corners = np.unique(corners.round(7), axis=0)
+    key = key_of(f"{FLAT} {SAME}", corners, surface.center_of_mass)
+    stored = recall("stable_poses", key)
+    if stored is not None:
+        feet = np.split(stored["feet"], stored["ends"][:-1])
+        return [StablePose(*each) for each in zip(stored["ups"], feet, stored["margins"].tolist())]
+    found = _computed_rests(corners, surface.center_of_mass)
+    keep(
+        "stable_poses", key,
+        ups=np.array([rest.up for rest in found]),
+        feet=np.concatenate([np.zeros((0, 3)), *(rest.foot for rest in found)]),
+        ends=np.cumsum([len(rest.foot) for rest in found], dtype=np.int64),
+        margins=np.array([rest.margin for rest in found]),
+    )  # fmt: skip
+    return found
+
+
+def _computed_rests(corners: Array, center_of_mass: Array) -> list[StablePose]:
+    from scipy.spatial import ConvexHull, QhullError  # imported late: the import takes 0.2 s
+
     try:
         hull = ConvexHull(corners)
     except QhullError:  # a flat point cloud: the camera did not see its base
@@ -71,7 +92,7 @@ def _rests(surface: Surface) -> list[StablePose]:
         seen = np.vstack([seen, down])
         foot = points[points @ down + offset > -FLAT]
         ring = polygon(foot, -down)
-        margin = margin_of(ring, -down, surface.center_of_mass)
+        margin = margin_of(ring, -down, center_of_mass)
         if margin >= 0:
             found.append(StablePose(-down, ring, margin))
     return sorted(found, key=lambda r: -r.margin)
