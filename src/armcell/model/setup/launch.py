@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
-from xml.sax.saxutils import escape
 
 from armcell.model.setup.folder import yaml_text
 
+escape = partial(html.escape, quote=False)  # xml.sax.saxutils imports urllib, http and ssl
 GUIDE = "LAUNCH.md"
 
 ROS2 = '''"""ROS 2: ros2 launch {package} move_group.launch.py"""
