@@ -9,7 +9,6 @@ translated, once, together with all functions that it calls.
 # pyright: reportIncompatibleMethodOverride=false, reportAttributeAccessIssue=false
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 from numba import njit
@@ -17,27 +16,6 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import LoweringPass, register_pass
 from numba.core.typed_passes import NativeLowering
-from numba.np import linalg
-
-
-def _without_scipy() -> None:
-    """Import Numba's array functions without SciPy, which takes 0.1 s.
-
-    Numba imports `scipy.linalg` only to find out whether it exists, and armcell requires SciPy. Compiled
-    matrix products import `scipy.linalg` themselves.
-    """
-    found = linalg.ensure_blas
-    linalg.ensure_blas = lambda: None
-    try:
-        from numba.np import arraymath
-
-        arraymath.ensure_blas = found  # pyright: ignore[reportPrivateImportUsage]
-    finally:
-        linalg.ensure_blas = found
-
-
-if "numba.np.arraymath" not in sys.modules:
-    _without_scipy()
 
 
 class _LinkedLibrary(JITCodeLibrary):
