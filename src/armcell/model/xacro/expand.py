@@ -19,7 +19,6 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,24 +28,36 @@ from armcell.core import InputError
 from armcell.model.command_line_options import xacro_args
 from armcell.model.untrusted_files import parse_xml, read_text
 from armcell.model.xacro.budget import CHARACTERS, Budget, Function, XacroError
+from armcell.model.xacro.elements import (
+    Element,
+    append_text,
+    is_xacro,
+    is_xacro_tag,
+    label,
+    move_content,
+    name_spaces,
+    required,
+    set_attribute,
+)
 from armcell.model.xacro.expressions import AttributeDict, NameSpace, evaluate
 from armcell.model.xacro.files import MissingFile, RobotFiles
 from armcell.model.xacro.functions import BASIC, MATH, PYTHON, plain, text_of, tokenize
 from armcell.model.xacro.scope import (
     ARGUMENT,
+    Macro,
     MissingArgument,
-    Parameter,
     Scope,
     Substitution,
     evaluate_text,
+    find_macro,
     missing_hint,
     parameters_of,
+    parent_of,
     truth,
 )
 
 log = logging.getLogger(__name__)
 
-Element = etree._Element
 MAX_INCLUDES = 30  # depth of nested includes
 MAX_MACROS = 200  # depth of nested macro calls
 MAX_CALLS = 5000  # depth of nested Python calls, which use no C stack since Python 3.11
@@ -119,20 +130,8 @@ def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
     the file uses without declaring it, unless `given` contains it.
     """
     text = etree.tostring(root, encoding="unicode")
-    known = {*given, *(str(e.get("name")) for e in root.iter() if _is_xacro_tag(e, "arg"))}
+    known = {*given, *(str(e.get("name")) for e in root.iter() if is_xacro_tag(e, "arg"))}
     return list(dict.fromkeys([name, *(n for n in ARGUMENT.findall(text) if n not in known)]))
-
-
-def _is_xacro_tag(element: Element, tag: str) -> bool:
-    return isinstance(element.tag, str) and etree.QName(element).localname == tag and "xacro" in element.tag
-
-
-@dataclass(frozen=True, eq=False)
-class Macro:
-    """Definition of a xacro macro to expand: its body and its parameters."""
-
-    body: Element
-    parameters: tuple[Parameter, ...]
 
 
 class _Expansion:
@@ -151,7 +150,7 @@ class _Expansion:
     def document(self, root: Element) -> tuple[str, list[Place]]:
         names = Scope(self.budget, self._substitute)
         names.values.update(self._names(names))
-        out = etree.Element(root.tag, nsmap=_spaces(root))
+        out = etree.Element(root.tag, nsmap=name_spaces(root))
         self.places[out] = self._place(root)
         scope, macros = names.inner(), Scope(self.budget, self._substitute).inner()
         self.here = root
@@ -173,13 +172,13 @@ class _Expansion:
 
     def failed(self, reason: str, hint: str | None = None) -> InputError:
         """Return an `InputError` that names the xacro file, line and element where the expansion failed."""
-        file, line, label = self.file, None, None
+        file, line, element = self.file, None, None
         if self.here is not None:
-            (file, line), label = self._place(self.here), _label(self.here)
+            (file, line), element = self._place(self.here), label(self.here)
         if file != self.file:
             reason = f"{reason} (part of {self.file})"
         reason = f"xacro cannot expand it: {_one_line(reason)}"
-        return InputError(reason, file=file, line=line, element=label, hint=hint and _one_line(hint))
+        return InputError(reason, file=file, line=line, element=element, hint=hint and _one_line(hint))
 
     def _substitute(self, inside: str, scope: Scope) -> str:
         return self.substitution.resolve(inside, self.reading[-1].parent)
@@ -229,8 +228,8 @@ class _Expansion:
     # --- elements ---
     def _attributes(self, source: Element, out: Element, scope: Scope) -> None:
         for name, value in source.attrib.items():
-            if not _is_xacro(source, str(name)):
-                _set(out, str(name), self._text(value, scope))
+            if not is_xacro(source, str(name)):
+                set_attribute(out, str(name), self._text(value, scope))
 
     def _text(self, value: Any, scope: Scope) -> str:
         return text_of(evaluate_text(str(value), scope))
@@ -251,7 +250,7 @@ class _Expansion:
         if text and not text.isspace():
             before = out[-1].tail if len(out) else out.text
             self.budget.charge(len(before or "") // CHARACTERS)  # appending copies the existing text
-            _append_text(out, self._text(text, scope))
+            append_text(out, self._text(text, scope))
 
     def _child(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
         if not isinstance(source.tag, str):
@@ -275,7 +274,7 @@ class _Expansion:
         and append a copy of the element to a URDF element.
         """
         try:
-            made = etree.SubElement(out, tag, nsmap=_spaces(source))
+            made = etree.SubElement(out, tag, nsmap=name_spaces(source))
         except ValueError:
             raise XacroError(f"{tag!r} is not a valid name of an element") from None
         self.places[made] = self._place(source)
@@ -290,11 +289,11 @@ class _Expansion:
         """
         made = etree.Element("made")
         self._children(source, made, macros, scope)
-        _move(made, out)
+        move_content(made, out)
 
     # --- directives ---
     def _property(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        name = self._text(_needed(source, "name"), scope)
+        name = self._text(required(source, "name"), scope)
         if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("__"):
             raise XacroError(f"{name!r} is not a valid name of a property")
         value: Any = source.get("value")
@@ -315,13 +314,13 @@ class _Expansion:
         if where == "global":
             target, lazy = scope.outermost, False
         elif where == "parent":
-            target, lazy = _parent_of(scope), False
+            target, lazy = parent_of(scope), False
         if not lazy and isinstance(value, str):
             value = evaluate_text(value, scope)
         target.put(name, value, lazy)
 
     def _argument(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        name, default = _needed(source, "name"), source.get("default")
+        name, default = required(source, "name"), source.get("default")
         if default is None:
             raise XacroError(
                 f"argument {name!r} has no default", 'add default="..."; --xacro-arg NAME:=VALUE overrides it'
@@ -338,15 +337,15 @@ class _Expansion:
             self._inside(source, out, macros, scope)
 
     def _holds(self, source: Element, scope: Scope) -> bool:
-        text = _needed(source, "value")
+        text = required(source, "value")
         return truth(evaluate_text(text, scope), text)
 
     def _attribute(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        name, value = (self._text(_needed(source, key), scope) for key in ("name", "value"))
-        _set(out, name, value)
+        name, value = (self._text(required(source, key), scope) for key in ("name", "value"))
+        set_attribute(out, name, value)
 
     def _element(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        key = next((k for k in source.attrib if _is_xacro(source, str(k)) and str(k).endswith("}name")), None)
+        key = next((k for k in source.attrib if is_xacro(source, str(k)) and str(k).endswith("}name")), None)
         if key is None:
             raise XacroError("attribute 'xacro:name' is missing")
         name = self._text(source.get(key), scope)
@@ -356,7 +355,7 @@ class _Expansion:
             self._copy(name, source, out, macros, scope)
 
     def _include(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        path = self._path(self._text(_needed(source, "filename"), scope))
+        path = self._path(self._text(required(source, "filename"), scope))
         if source.get("ns") is not None:
             space = self._text(source.get("ns"), scope)
             macros.values[space] = macros = macros.inner(name_space=True)
@@ -375,13 +374,13 @@ class _Expansion:
                 self._inside(root, out, macros, scope)
 
     def _define(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        name = _needed(source, "name").removeprefix("xacro:")
+        name = required(source, "name").removeprefix("xacro:")
         if name == "call" or "." in name:
             raise XacroError(f"{name!r} is not a valid name of a macro")
         macros.values[name] = Macro(source, parameters_of(source.get("params", "")))
 
     def _insert(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        name = _needed(source, "name")
+        name = required(source, "name")
         if f"**{name}" in scope:
             self._inside(scope.lookup(f"**{name}"), out, macros, scope)
         elif f"*{name}" in scope:
@@ -392,12 +391,12 @@ class _Expansion:
 
     # --- macros ---
     def _call_named(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        self._call(self._text(_needed(source, "macro"), scope), source, out, macros, scope, skip="macro")
+        self._call(self._text(required(source, "macro"), scope), source, out, macros, scope, skip="macro")
 
     def _call(
         self, name: str, source: Element, out: Element, macros: Scope, scope: Scope, skip: str = ""
     ) -> None:
-        macros_there, scope_there, macro = _resolved(name, macros, scope)
+        macros_there, scope_there, macro = find_macro(name, macros, scope)
         if len(self.macros) >= MAX_MACROS:
             chain = " calls ".join(self.macros[-3:])
             raise XacroError(f"more than {MAX_MACROS} macros call each other: {chain}")
@@ -405,7 +404,7 @@ class _Expansion:
         inner = scope_there.inner()
         missing = {parameter.name: parameter for parameter in macro.parameters}
         for key, value in source.attrib.items():
-            if str(key) == skip or _is_xacro(source, str(key)):
+            if str(key) == skip or is_xacro(source, str(key)):
                 continue
             if missing.pop(str(key), None) is None:
                 raise XacroError(f"invalid parameter {str(key)!r} of macro {name!r}")
@@ -462,88 +461,6 @@ def _pushed(stack: list[Any], item: Any) -> Iterator[None]:
     stack.append(item)
     yield
     stack.pop()  # not needed after an error, which ends the expansion
-
-
-def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Macro]:
-    """Find a xacro macro by its name, which can contain namespaces, as in `ns.macro`.
-
-    Returns:
-        The macro scope and the property scope in which the macro must be expanded, and the macro.
-    Raises:
-        XacroError: the macro does not exist.
-    """
-    try:
-        found = macros.lookup(name)
-    except KeyError:
-        *spaces, last = name.split(".")
-        try:
-            for space in spaces:
-                macros, scope = macros.lookup(space), scope.lookup(space)
-            found = macros.lookup(last)
-        except (KeyError, AttributeError):
-            raise XacroError(f"unknown macro name: xacro:{name}") from None
-    if not isinstance(found, Macro):
-        raise XacroError(f"unknown macro name: xacro:{name}")
-    return macros, scope, found
-
-
-def _parent_of(scope: Scope) -> Scope:
-    """Return the scope of the code that calls a xacro macro. In the macro, `scope="parent"` refers to it.
-
-    For an included file with a namespace, the caller is the file that includes it.
-    """
-    target = scope.around
-    if target is None or target.around is None:
-        return scope
-    while not scope.name_space and target.name_space and target.around is not None:
-        target = target.around
-    return target
-
-
-def _needed(source: Element, name: str) -> str:
-    found = source.get(name)
-    if found is None:
-        raise XacroError(f"attribute {name!r} is missing")
-    return str(found)
-
-
-def _is_xacro(element: Element, attribute: str) -> bool:
-    return attribute.startswith("{") and attribute.startswith(f"{{{element.nsmap.get('xacro')}}}")
-
-
-def _spaces(source: Element) -> Any:
-    """Return the XML namespaces of an element in a xacro file, without the namespace of xacro itself."""
-    return {prefix: uri for prefix, uri in source.nsmap.items() if prefix != "xacro"}
-
-
-def _set(out: Element, name: str, value: str) -> None:
-    try:
-        out.set(name, value)
-    except ValueError as error:
-        raise XacroError(f"attribute {name!r}: {error}") from None
-
-
-def _append_text(out: Element, text: str) -> None:
-    try:
-        if len(out):
-            out[-1].tail = (out[-1].tail or "") + text
-        else:
-            out.text = (out.text or "") + text
-    except ValueError as error:
-        raise XacroError(f"text in <{out.tag}>: {error}") from None
-
-
-def _move(made: Element, out: Element) -> None:
-    """Move the text and the children of one element to the end of another, while xacro is expanded."""
-    if made.text:
-        _append_text(out, made.text)
-    out.extend(list(made))
-
-
-def _label(element: Element) -> str:
-    name = element.get("name")
-    prefix = f"{element.prefix}:" if element.prefix else ""
-    return f"<{prefix}{etree.QName(element).localname}{f' name={name!r}' if name else ''}>"
 
 
 def _one_line(text: str) -> str:

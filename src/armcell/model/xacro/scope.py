@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from armcell.model.xacro.budget import Budget, Function, XacroError
+from armcell.model.xacro.elements import Element
 from armcell.model.xacro.expressions import Names, NameSpace, evaluate
 from armcell.model.xacro.files import RobotFiles
 from armcell.model.xacro.functions import BASIC, MATH, MAX_DIGITS, plain, text_of
@@ -339,3 +340,47 @@ class Substitution:
                 f"the file reads the environment variable {name!r}, which needs permission", ENV_CURE
             )
         return os.environ.get(name, default)
+
+
+@dataclass(frozen=True, eq=False)
+class Macro:
+    """Definition of a xacro macro to expand: its body and its parameters."""
+
+    body: Element
+    parameters: tuple[Parameter, ...]
+
+
+def find_macro(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Macro]:
+    """Find a xacro macro by its name, which can contain namespaces, as in `ns.macro`.
+
+    Returns:
+        The macro scope and the property scope in which the macro must be expanded, and the macro.
+    Raises:
+        XacroError: the macro does not exist.
+    """
+    try:
+        found = macros.lookup(name)
+    except KeyError:
+        *spaces, last = name.split(".")
+        try:
+            for space in spaces:
+                macros, scope = macros.lookup(space), scope.lookup(space)
+            found = macros.lookup(last)
+        except (KeyError, AttributeError):
+            raise XacroError(f"unknown macro name: xacro:{name}") from None
+    if not isinstance(found, Macro):
+        raise XacroError(f"unknown macro name: xacro:{name}")
+    return macros, scope, found
+
+
+def parent_of(scope: Scope) -> Scope:
+    """Return the scope of the code that calls a xacro macro. In the macro, `scope="parent"` refers to it.
+
+    For an included file with a namespace, the caller is the file that includes it.
+    """
+    target = scope.around
+    if target is None or target.around is None:
+        return scope
+    while not scope.name_space and target.name_space and target.around is not None:
+        target = target.around
+    return target
