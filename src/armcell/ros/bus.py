@@ -11,26 +11,24 @@ import copy
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from armcell.core import ArmcellError, InputError, UnknownNameError
-from armcell.core.checks import require
 from armcell.ros.clock import Clock
 from armcell.ros.definitions import plain_name
 from armcell.ros.names import NameMap, resolve
 from armcell.ros.parameters import Parameters, RemappedParameters
 from armcell.ros.schema import Schema
 from armcell.ros.schema import schema as built_in
+from armcell.ros.topics import Attachment, Member, Publisher, Put, Subscription, Topic, TopicInfo
 
 logger = logging.getLogger(__name__)
 QUEUE_SIZE = 10  # usual value in ROS scripts
 
 LOOK_PERIOD = 0.1  # [s] polling period for a service behind a transport
 
-Put = Callable[[Any], None]
 Handler = Callable[[Any], Any]
 Finder = Callable[[str], Handler | None]
 """Returns the handler of a service behind a transport by full name; None without a server."""
@@ -38,19 +36,6 @@ Finder = Callable[[str], Handler | None]
 
 class ServiceError(ArmcellError):
     """Failure of a service call on the message bus: no server, an error in the handler, or a timeout."""
-
-
-@dataclass(frozen=True)
-class TopicInfo:
-    """Snapshot of a topic on the message bus: its type, its connections and its message counts."""
-
-    name: str
-    type: str
-    publishers: int
-    subscribers: int
-    messages: int  # published since the topic was created
-    dropped: int  # messages that full queues of current subscriptions have dropped
-    latched: bool = False  # at least one publisher sends its last message to new subscribers
 
 
 class Bus:
@@ -65,7 +50,7 @@ class Bus:
         self._names: NameMap | None = None
         self._root, self._parameters = self, Parameters()
         self._lock = threading.Lock()
-        self._topics: dict[str, _Topic] = {}
+        self._topics: dict[str, Topic] = {}
         self._services: dict[str, Service] = {}
         self._finders: list[Finder] = []
         self._changed = threading.Condition(self._lock)
@@ -118,7 +103,7 @@ class Bus:
             InputError: the topic has another type, or the name is invalid.
             UnknownNameError: the message type does not exist.
         """
-        return self._join(topic, type_name, lambda t: Publisher(self, t, latch, owner))
+        return self._join(topic, type_name, lambda t: Publisher(t, latch, owner))
 
     def subscribe(
         self,
@@ -141,7 +126,7 @@ class Bus:
             InputError: the topic has another type, or the name is invalid.
             UnknownNameError: the message type does not exist.
         """
-        subscription = self._join(topic, type_name, lambda t: Subscription(self, t, queue_size))
+        subscription = self._join(topic, type_name, lambda t: Subscription(t, queue_size, self.attach))
         if callback is not None:
             subscription.run(callback)
         return subscription
@@ -160,7 +145,7 @@ class Bus:
             put: called with each message.
             owner: the transport.
         """
-        return self._join(topic, type_name, lambda t: Attachment(self, t, put, owner))
+        return self._join(topic, type_name, lambda t: Attachment(t, put, owner))
 
     def topics(self, besides: object = None) -> list[TopicInfo]:
         """List the topics of the message bus, each with its number of publishers and subscribers.
@@ -180,13 +165,13 @@ class Bus:
             found = self._topics.get(self.full_name(topic))
             return found.type if found else None
 
-    def _join(self, name: str, type_name: str, make: Callable[[_Topic], Any]) -> Any:
+    def _join(self, name: str, type_name: str, make: Callable[[Topic], Any]) -> Any:
         name, type_name = self.full_name(name), plain_name(type_name)
         self.schema.definition(type_name)
         with self._lock:
             topic = self._topics.get(name)
             if topic is None:
-                topic = _Topic(name, type_name)
+                topic = Topic(name, type_name, self._leave)
             elif topic.type != type_name:
                 raise InputError(
                     f"topic {name} carries {topic.type}, not {type_name}",
@@ -198,7 +183,7 @@ class Bus:
             self._has_changed()
         return member
 
-    def _leave(self, topic: _Topic, member: _Member) -> None:
+    def _leave(self, topic: Topic, member: Member) -> None:
         with self._lock:
             topic.remove(member)
             if topic.is_empty and self._topics.get(topic.name) is topic:
@@ -312,195 +297,6 @@ class Bus:
     def header(self, frame_id: str = "") -> Any:
         """Return a std_msgs/Header with the current time of the bus's clock."""
         return self.schema.new("std_msgs/Header", stamp=self.stamp(), frame_id=frame_id)
-
-
-class _Topic:
-    """Publishers and receivers of one topic on the message bus.
-
-    The topic's lock ensures that all receivers get the messages in the same order.
-    """
-
-    def __init__(self, name: str, type_name: str):
-        self.name, self.type = name, type_name
-        self.lock = threading.Lock()
-        self.publishers: list[Publisher] = []
-        self.receivers: list[Attachment] = []
-        self.messages = 0
-
-    @property
-    def is_empty(self) -> bool:
-        return not (self.publishers or self.receivers)
-
-    def add(self, member: _Member) -> None:
-        with self.lock:
-            if isinstance(member, Publisher):
-                self.publishers.append(member)
-            elif isinstance(member, Attachment):
-                self.receivers.append(member)
-                for publisher in self.publishers:
-                    if publisher.latched is not None and not _same(publisher, member):
-                        member.put(publisher.latched)
-
-    def remove(self, member: _Member) -> None:
-        with self.lock:
-            for members in (self.publishers, self.receivers):
-                if member in members:
-                    members.remove(member)  # type: ignore[arg-type]
-
-    def publish(self, publisher: Publisher, message: Any) -> None:
-        with self.lock:
-            self.messages += 1
-            if publisher.latch:
-                publisher.latched = message
-            for receiver in self.receivers:
-                if not _same(publisher, receiver):
-                    receiver.put(message)
-
-    def info(self, besides: object) -> TopicInfo:
-        with self.lock:
-            publishers = [p for p in self.publishers if besides is None or p.owner is not besides]
-            receivers = [r for r in self.receivers if besides is None or r.owner is not besides]
-            dropped = sum(r.dropped for r in receivers if isinstance(r, Subscription))
-            latched = any(p.latch for p in publishers)
-            return TopicInfo(
-                self.name, self.type, len(publishers), len(receivers), self.messages, dropped, latched
-            )
-
-
-def _same(publisher: Publisher, receiver: Attachment) -> bool:
-    """Return whether a publisher and a receiver on the message bus belong to the same transport."""
-    return publisher.owner is not None and publisher.owner is receiver.owner
-
-
-class _Member:
-    """Base class of publishers and receivers on a bus topic. Their method `close` removes them from the
-    topic.
-
-    A member is also a context manager that closes at the end of a `with` block.
-    """
-
-    def __init__(self, bus: Bus, topic: _Topic, owner: object = None):
-        self._bus, self._topic, self.owner = bus, topic, owner
-        self.topic, self.type = topic.name, topic.type
-        self.closed = False
-
-    def close(self) -> None:
-        """Remove a publisher or receiver from its bus topic. Further calls have no effect."""
-        self.closed = True
-        self._bus._leave(self._topic, self)
-
-    def __enter__(self) -> Any:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-
-class Publisher(_Member):
-    """Publisher of messages on one topic of the message bus."""
-
-    def __init__(self, bus: Bus, topic: _Topic, latch: bool, owner: object = None):
-        super().__init__(bus, topic, owner)
-        self.latch = latch
-        self.latched: Any = None
-
-    def publish(self, message: Any) -> None:
-        """Deliver a message to every subscriber of the bus topic, without waiting for any of them.
-
-        Raises:
-            InputError: the message has another type than the topic, or the publisher is closed.
-        """
-        given = getattr(message, "_type", type(message).__name__)
-        if given != self.type:
-            raise InputError(f"topic {self.topic} carries {self.type}, not {given}")
-        if self.closed:
-            raise InputError(f"the publisher of {self.topic} is closed")
-        self._topic.publish(self, message)
-
-    @property
-    def subscribers(self) -> int:
-        """Return how many receivers the bus topic has, including the receivers of transports."""
-        return len(self._topic.receivers)
-
-
-class Attachment(_Member):
-    """Connection of a transport to a topic of the message bus, with the transport's function that receives
-    the topic's messages.
-    """
-
-    def __init__(self, bus: Bus, topic: _Topic, put: Put, owner: object = None):
-        super().__init__(bus, topic, owner)
-        self.put = put
-
-
-class Subscription(Attachment):
-    """Subscription to a topic of the message bus, with a bounded queue of unread messages.
-
-    Attributes:
-        dropped: number of unread messages that the full queue has dropped.
-    """
-
-    def __init__(self, bus: Bus, topic: _Topic, queue_size: int):
-        require(queue_size >= 1, f"queue size is {queue_size}, it must be at least 1")
-        super().__init__(bus, topic, self._put)
-        self.dropped = 0
-        self._queue: deque[Any] = deque(maxlen=queue_size)
-        self._arrived = threading.Condition()
-        self._thread: threading.Thread | None = None
-        self._joined: list[Attachment] = []
-
-    def _put(self, message: Any) -> None:
-        with self._arrived:
-            if len(self._queue) == self._queue.maxlen:
-                self.dropped += 1
-            self._queue.append(message)
-            self._arrived.notify()
-
-    def get(self, timeout: float | None = None) -> Any:
-        """Return the oldest unread message of a subscription on the message bus.
-
-        Args:
-            timeout: longest wait for a message [s]; None waits until the subscription is closed.
-        Returns:
-            The message, or None if the timeout expired or the subscription is closed.
-        """
-        give_up = None if timeout is None else time.monotonic() + timeout
-        with self._arrived:
-            while not self._queue and not self.closed:
-                left = None if give_up is None else give_up - time.monotonic()
-                if left is not None and left <= 0:
-                    return None
-                self._arrived.wait(left)
-            return self._queue.popleft() if self._queue else None
-
-    def join(self, topic: str, type_name: str) -> None:
-        """Add a topic to this bus subscription. The subscription queues the messages of all its topics in the
-        order in which they arrive.
-        """
-        self._joined.append(self._bus.attach(topic, type_name, self._put))
-
-    def run(self, callback: Callable[[Any], None]) -> None:
-        """Start a thread that calls `callback` with each message until the bus subscription closes."""
-        require(self._thread is None, f"the subscription of {self.topic} has a callback already")
-
-        def loop() -> None:
-            while (message := self.get()) is not None and not self.closed:
-                try:
-                    callback(message)
-                except Exception:
-                    logger.exception("a subscriber of %s failed", self.topic)
-
-        self._thread = threading.Thread(target=loop, name=f"sub {self.topic}", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        super().close()
-        for attachment in self._joined:
-            attachment.close()
-        with self._arrived:
-            self._arrived.notify_all()
-        if self._thread is not None and self._thread is not threading.current_thread():
-            self._thread.join(timeout=1.0)
 
 
 class Service:
