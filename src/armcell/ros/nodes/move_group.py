@@ -17,8 +17,8 @@ import numpy as np
 
 from armcell.collision import ExactChecker
 from armcell.core import ErrorCode, InputError, Outcome, PlanResult, UnknownNameError
-from armcell.planning import constraint_errors, pipelines, plan, plan_cartesian, planner_defaults, solve_ik
-from armcell.ros.actions import ActionOutcome, ActionServer, Goal, GoalState
+from armcell.planning import constraint_errors, plan, plan_cartesian, solve_ik
+from armcell.ros.actions import ActionOutcome, ActionServer, Goal
 from armcell.ros.bus import Bus
 from armcell.ros.convert import pose_from_message, pose_message
 from armcell.ros.moveit_convert import (
@@ -35,7 +35,8 @@ from armcell.ros.moveit_convert import (
 from armcell.ros.moveit_convert.objects import frame_of
 from armcell.ros.nodes.cell_motions import CellMotions
 from armcell.ros.nodes.gripper_node import with_finger_contacts
-from armcell.ros.nodes.motion_queue import MotionHandle
+from armcell.ros.nodes.outcomes import goal_state, request_code, unknown_name_code, wait_for_outcome
+from armcell.ros.nodes.planner_parameters import PlannerParameters
 from armcell.ros.nodes.scene_node import SceneNode
 from armcell.scene import WORLD, PlanningScene, SceneDiff
 
@@ -65,7 +66,7 @@ class MoveGroupNode:
         self.cell, self.bus = cell, bus
         self._planner_configs = planner_configs or {}
         self.scene_node = SceneNode(cell, bus)
-        self._parameters: dict[tuple[str, str, str], dict[str, str]] = {}
+        self._parameters = PlannerParameters(bus.schema)
         self._stop = threading.Event()
         self._executing: list[threading.Event] = []
         serve = lambda name, handler: bus.serve(f"/{name}", SERVICES[name], handler)  # noqa: E731
@@ -76,9 +77,9 @@ class MoveGroupNode:
             serve("compute_ik", self._ik_service),
             serve("compute_fk", self._fk_service),
             serve("check_state_validity", self._validity_service),
-            serve("query_planner_interface", self._query_service),
-            serve("get_planner_params", self._get_params),
-            serve("set_planner_params", self._set_params),
+            serve("query_planner_interface", self._parameters.query),
+            serve("get_planner_params", self._parameters.get),
+            serve("set_planner_params", self._parameters.set),
             ActionServer(bus, NAME, "moveit_msgs/MoveGroup", self._move),
             # Arms can move at the same time: the joints of two goals decide which goal waits.
             ActionServer(
@@ -131,14 +132,14 @@ class MoveGroupNode:
         """
         try:
             scene = with_finger_contacts(scene, request.group_name)
-            wanted = plan_request_from_message(request, scene, self._parameters_of(request))
+            wanted = plan_request_from_message(request, scene, self._parameters.of(request))
             if wanted.pipeline_id in ("", "ompl", "native"):
                 wanted = replace(wanted, planner_configs=self._planner_configs)
             result = plan(scene, wanted, cancel)
         except InputError as error:
             logger.warning("planning request refused: %s", error)
             self.cell.queue_event("error", f"a client's request for {request.group_name} is refused: {error}")
-            return PlanResult(_request_code(request, error), str(error))
+            return PlanResult(request_code(request, error), str(error))
         repaired = result.evidence.get("start_repaired")
         if result.ok and repaired and repaired["begins_at"] != "actual start":
             contacts = "; ".join(c.describe() for c in repaired["contacts"][:3])
@@ -338,40 +339,6 @@ class MoveGroupNode:
             body_type_2=kind(contact.body_b),
         )
 
-    # --- planners ---
-    def _query_service(self, request: Any) -> Any:
-        described = [
-            self.new("PlannerInterfaceDescription", f"armcell {name}", name, sorted(table))
-            for name, table in pipelines.items()
-        ]
-        return self.new("QueryPlannerInterfacesResponse", described)
-
-    def _parameters_of(self, request: Any) -> dict[str, Any]:
-        """Return the planner parameters for a move_group request. Group-specific values take precedence."""
-        key = (request.pipeline_id, request.planner_id)
-        return {
-            **self._parameters.get((*key, ""), {}),
-            **self._parameters.get((*key, request.group_name), {}),
-        }
-
-    def _get_params(self, request: Any) -> Any:
-        key = (request.pipeline_id, request.planner_config)
-        try:
-            values = {k: str(v) for k, v in planner_defaults(*key).items()}
-        except UnknownNameError as error:
-            logger.warning("%s", error)
-            return self.new("GetPlannerParamsResponse")
-        values |= self._parameters.get((*key, ""), {})
-        values |= self._parameters.get((*key, request.group), {}) if request.group else {}
-        params = self.new("PlannerParams", list(values), list(values.values()), [""] * len(values))
-        return self.new("GetPlannerParamsResponse", params)
-
-    def _set_params(self, request: Any) -> Any:
-        key = (request.pipeline_id, request.planner_config, request.group)
-        given = dict(zip(request.params.keys, request.params.values))
-        self._parameters[key] = given if request.replace else {**self._parameters.get(key, {}), **given}
-        return self.new("SetPlannerParamsResponse")
-
     # --- the move_group action ---
     def _move(self, goal: Goal) -> ActionOutcome:
         """Plan a motion for a MoveGroup goal and execute it unless `plan_only` is set.
@@ -483,22 +450,6 @@ SERVICES = {
 }
 
 
-def wait_for_outcome(work: MotionHandle, cancel: threading.Event) -> Outcome:
-    """Wait for the outcome of a move_group motion. If `cancel` is set, the motion stops."""
-    while not work.wait(0.01):
-        if cancel.is_set():
-            work.cancel.set()
-    return work.outcome()
-
-
-def goal_state(outcome: Outcome, result: Any) -> ActionOutcome:
-    """Return the final state of a move_group goal: SUCCEEDED, PREEMPTED or ABORTED (any other failure)."""
-    state = GoalState.SUCCEEDED if outcome.ok else GoalState.ABORTED
-    if outcome.code is ErrorCode.PREEMPTED:
-        state = GoalState.PREEMPTED
-    return ActionOutcome(state, result, outcome.message or outcome.code.name)
-
-
 def _started(scene: PlanningScene, message: Any) -> PlanningScene:
     """Return the start scene of a move_group request, which includes the request's RobotState."""
     state = robot_state_from_message(message, scene)
@@ -514,35 +465,3 @@ def _moves(checker: ExactChecker, contact: Any) -> bool:
     """Return whether the joints in a move_group request can move one of the bodies in contact."""
     moved = {checker.geometries[i].body for pair in checker.pairs for i in pair}
     return contact.body_a in moved or contact.body_b in moved
-
-
-def _request_code(request: Any, error: InputError) -> ErrorCode:
-    """Return the error code with which move_group answers an invalid planning request.
-
-    move_group returns FAILURE for unknown names, except that an unknown group and a missing goal have their
-    own codes.
-    """
-    if isinstance(error, UnknownNameError) and error.kind == "planning group":
-        return ErrorCode.INVALID_GROUP_NAME
-    if not request.goal_constraints or "no constraints" in str(error):
-        return ErrorCode.INVALID_GOAL_CONSTRAINTS
-    return ErrorCode.FAILURE
-
-
-def unknown_name_code(error: InputError, otherwise: ErrorCode) -> ErrorCode:
-    """Return the error code of move_group for an unknown name, such as a frame, link or object.
-
-    Args:
-        error: the error.
-        otherwise: code for any other error.
-    """
-    kind = error.kind if isinstance(error, UnknownNameError) else ""
-    known = {
-        "frame": ErrorCode.FRAME_TRANSFORM_FAILURE,
-        "link": ErrorCode.INVALID_LINK_NAME,
-        "joint": ErrorCode.INVALID_ROBOT_STATE,
-        "planning group": ErrorCode.INVALID_GROUP_NAME,
-        "object": ErrorCode.INVALID_OBJECT_NAME,
-        "attached object": ErrorCode.INVALID_OBJECT_NAME,
-    }
-    return known.get(kind, otherwise)

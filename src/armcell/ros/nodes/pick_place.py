@@ -28,7 +28,8 @@ from armcell.ros.moveit_convert import robot_trajectory_message
 from armcell.ros.moveit_convert.objects import frame_of
 from armcell.ros.moveit_convert.states import trajectory_message
 from armcell.ros.nodes.gripper_node import NEAR
-from armcell.ros.nodes.move_group import MoveGroupNode, goal_state, unknown_name_code, wait_for_outcome
+from armcell.ros.nodes.move_group import MoveGroupNode
+from armcell.ros.nodes.outcomes import goal_state, unknown_name_code, wait_for_outcome
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks import Pick, TaskSettings, grasp_stages
 from armcell.tasks.pick import is_near, retreats
