@@ -6,7 +6,8 @@ from armcell.ros.nodes.cell_node import CellNode
 from armcell.ros.nodes.grasp_server import GraspServer, GraspServerSettings
 from armcell.ros.nodes.move_group import MoveGroupNode
 from armcell.ros.nodes.pick_place import PickPlaceNode
-from armcell.ros.nodes.remote_driver import RemoteDriver, RemoteMotions
+from armcell.ros.nodes.remote_driver import RemoteDriver
+from armcell.ros.nodes.remote_motions import RemoteMotions
 from armcell.ros.nodes.served_cell import ServedCell, ServedPlanner
 from armcell.ros.nodes.state_publisher import StatePublisher
 

@@ -10,24 +10,22 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.cell import Controller, LiveCell
+from armcell.cell import Controller
 from armcell.core import SE3, ErrorCode, InputError, JointState, JointTrajectory, Outcome
 from armcell.core.checks import require
-from armcell.drivers import Capability, Driver, DriverProxy, ExecutionHandle, GripperReading
+from armcell.drivers import Capability, Driver, ExecutionHandle, GripperReading
 from armcell.model import Gripper
 from armcell.records.mcap_writer import ros_name
 from armcell.ros.bus import Bus
 from armcell.ros.convert import check_in_meters, pose_from_message, unit_fault
 from armcell.ros.faults import FaultCounter
 from armcell.ros.moveit_convert.states import joint_state_from_message, trajectory_message
-from armcell.ros.nodes.cell_motions import CellMotions
 from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
 from armcell.ros.nodes.external_controllers import (
     ARRIVED,
@@ -38,8 +36,7 @@ from armcell.ros.nodes.external_controllers import (
     ReportedMotion,
     goal_error,
 )
-from armcell.ros.nodes.gripper_node import GripperMotions, gripper_topics, objects_near_tcp
-from armcell.ros.nodes.motion_queue import MotionHandle
+from armcell.ros.nodes.gripper_node import gripper_topics, objects_near_tcp
 from armcell.scene import WORLD, PlanningScene
 
 logger = logging.getLogger(__name__)
@@ -449,63 +446,3 @@ def _result_of(said: list[str], begun: bool) -> Outcome | None:
         if begun and what == "stopped":
             return Outcome(ErrorCode.PREEMPTED, f"the simulator: {why}")
     return None
-
-
-class RemoteMotions(CellMotions):
-    """Motions of a cell whose robot is connected by a remote driver.
-
-    Clients wait until the robot is there. Only one motion runs at a time, even with several arms, because the
-    simulator's status messages do not identify their motion.
-    """
-
-    def __init__(self, live: LiveCell, driver: RemoteDriver):
-        super().__init__(live, driver.controllers)
-        self._driver = driver
-        self.grippers = GripperMotions(live, self.conductor, PATIENCE)
-
-    def _after_step(self) -> None:
-        with suppress(InputError):  # the robot's state is unknown
-            super()._after_step()
-
-    def say(self, text: str) -> None:
-        if text.startswith(("refused", "failed")):
-            logger.warning("trajectory %s", text)
-        else:
-            super().say(text)
-
-    def scene(self) -> PlanningScene:
-        self._driver.wait_for_state()
-        self._driver.wait_for_fingers()
-        return super().scene()
-
-    def queue_trajectory(self, *args: Any, **kwargs: Any) -> MotionHandle:
-        self._driver.wait_for_state()
-        return super().queue_trajectory(*args, **kwargs)
-
-    def drive(self, gripper: Gripper, width: float, force: float) -> MotionHandle:
-        self._driver.wait_for_state()
-        if any(gripper.joint_name in joints for joints in self.controllers.values()):
-            self._find((gripper.joint_name,), ())
-        return super().drive(gripper, width, force)
-
-    def _find(self, joints: Sequence[str], controllers: Sequence[str]) -> None:
-        if controllers or self.controllers:
-            super()._find(joints, controllers or tuple(self.controllers))
-            self._driver.wait_for_controllers(joints, controllers)
-
-    def _restricted(self, driver: Driver, controllers: Sequence[str]) -> Driver:
-        return _Restricted(driver, self._driver, controllers)
-
-    def _temporary_conflict(self, others: list[MotionHandle], new: JointTrajectory) -> str:
-        return "one motion at a time" if any(not w.is_over for w in others) else ""
-
-
-class _Restricted(DriverProxy):
-    """View of a remote driver that moves the robot only with the named ROS controllers."""
-
-    def __init__(self, driver: Driver, remote: RemoteDriver, controllers: Sequence[str]):
-        super().__init__(driver)
-        self._remote, self._names = remote, controllers
-
-    def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
-        return self._remote.follow(trajectory, self._names)
