@@ -17,7 +17,6 @@ from armcell.core import (
     CartesianRequest,
     ErrorCode,
     Explanation,
-    Goal,
     InputError,
     JointGoal,
     JointState,
@@ -40,8 +39,10 @@ from armcell.viewer.session_goal import (
     GoalView,
     PlanSettings,
     check_goal_positions,
+    first_group,
     keep_upright,
     random_positions,
+    requested_goal,
     solve_goal_pose,
 )
 
@@ -86,7 +87,7 @@ class PlanningSession:
         self.outcome: Outcome | None = None
         self.message = ""
         self.observers: list[Observer] = []
-        self.group = _first_group(scene)
+        self.group = first_group(scene)
         self._seed, self._rng = seed, np.random.default_rng(seed)
         self._connect, self._live = connect, None
         self._listeners: list[Callable[[str], None]] = []
@@ -245,7 +246,7 @@ class PlanningSession:
             assert goal.T_world_tip is not None
             return CartesianRequest(self.group, (goal.T_world_tip,), start=start, **speeds)
         request = PlanRequest(
-            self.group, (_asked(self.scene, self.group, goal),), start=start, planner_id=s.planner,
+            self.group, (requested_goal(self.scene, self.group, goal),), start=start, planner_id=s.planner,
             pipeline_id=s.pipeline, planning_time=s.planning_time, attempts=s.attempts, seed=self._seed,
             **speeds,
         )  # fmt: skip
@@ -468,37 +469,6 @@ class PlanningSession:
         self.stop()
         self.wait(CLOSE_S)
         self._disconnect()
-
-
-def _first_group(scene: PlanningScene) -> str:
-    """Return the group of the robot that a new planning session selects by default.
-
-    Prefer a gripper's arm group, then the first chain, then the first group with joints.
-
-    Raises:
-        InputError: the robot has no group with joints.
-    """
-    model = scene.model
-    names = [g.arm_group for g in model.grippers.values()]
-    names += [g.name for g in model.groups.values() if g.tip_link and g.joint_names]
-    names += [g.name for g in model.groups.values() if g.joint_names]
-    if not names:
-        raise InputError(
-            f"robot {model.name!r} has no planning group with joints", hint="run armcell setup on its URDF"
-        )
-    return names[0]
-
-
-def _asked(scene: PlanningScene, group: str, goal: GoalView) -> Goal:
-    """Return the planning session's joint goal, or the requested pose if the joint goal is invalid.
-
-    Planning to the pose then fails with an explanation of the invalid goal.
-    """
-    if goal.by_pose and goal.status != "free":
-        assert goal.T_world_tip is not None
-        return PoseGoal(goal.T_world_tip)
-    names = scene.model.group(group).joint_names
-    return JointGoal(JointState(scene.model.joint_names, goal.positions).reindexed(names))
 
 
 __all__ = ["FREE", "LINE", "UPRIGHT", "GoalView", "PlanSettings", "PlanningSession"]

@@ -15,9 +15,13 @@ from armcell.core import (
     CartesianRequest,
     Constraints,
     Contact,
+    Goal,
     InputError,
+    JointGoal,
+    JointState,
     OrientationConstraint,
     PlanRequest,
+    PoseGoal,
 )
 from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.planning import find_planner, sampling_bounds
@@ -180,3 +184,34 @@ def keep_upright(scene: PlanningScene, group: str) -> Constraints:
     tolerance[axis] = np.pi
     x, y, z = tolerance
     return Constraints(orientations=(OrientationConstraint(wanted, (x, y, z)),), name="upright")
+
+
+def first_group(scene: PlanningScene) -> str:
+    """Return the group of the robot that a new planning session selects by default.
+
+    Prefer a gripper's arm group, then the first chain, then the first group with joints.
+
+    Raises:
+        InputError: the robot has no group with joints.
+    """
+    model = scene.model
+    names = [g.arm_group for g in model.grippers.values()]
+    names += [g.name for g in model.groups.values() if g.tip_link and g.joint_names]
+    names += [g.name for g in model.groups.values() if g.joint_names]
+    if not names:
+        raise InputError(
+            f"robot {model.name!r} has no planning group with joints", hint="run armcell setup on its URDF"
+        )
+    return names[0]
+
+
+def requested_goal(scene: PlanningScene, group: str, goal: GoalView) -> Goal:
+    """Return the planning session's joint goal, or the requested pose if the joint goal is invalid.
+
+    Planning to the pose then fails with an explanation of the invalid goal.
+    """
+    if goal.by_pose and goal.status != "free":
+        assert goal.T_world_tip is not None
+        return PoseGoal(goal.T_world_tip)
+    names = scene.model.group(group).joint_names
+    return JointGoal(JointState(scene.model.joint_names, goal.positions).reindexed(names))
