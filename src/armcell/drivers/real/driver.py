@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,7 @@ from armcell.drivers.execution_handle import ExecutionHandle, SetpointHistory
 from armcell.drivers.real.arm import RealArm, RealGripper
 from armcell.drivers.real.execution_handles import CallerStreamedExecution, StreamedExecution
 from armcell.drivers.real.heartbeat import Heartbeat
+from armcell.drivers.real.held_objects import HeldObjects
 from armcell.drivers.real.robot_kind import identify_all, kind_of
 from armcell.drivers.real.settings_validation import real_settings
 from armcell.drivers.safety import Fault, MotionGuard, SafetyEvent, Supervisor, cannot_resume
@@ -39,17 +40,6 @@ UNGUARDED = frozenset(
         Capability.REPORT_MODES,
     }
 )
-
-
-LOST = 0.003  # [m] decrease of a hand's width after which the object that it held is no longer there
-
-
-class _HeldObject(NamedTuple):
-    """Object that a real arm's gripper holds, as the driver recorded it at the grasp."""
-
-    name: str
-    T_tcp_object: SE3
-    width: float  # [m] of the hand when it grasped the object
 
 
 class RealDriver(Driver):
@@ -115,9 +105,7 @@ class RealDriver(Driver):
             for column in self._model.columns(g.joint_names)
         }
         self._q = np.array(self._scene.positions, dtype=float)
-        self._poses = {n: o.T_world_object for n, o in self._scene.objects.items() if o.movable}
-        self._held: dict[str, _HeldObject] = {}
-        self._lost: set[str] = set()  # grippers whose object slipped away; they have not opened since
+        self._objects = HeldObjects(self._scene)
         self._forces: dict[str, float] = {}
         self._T_world_base = {}  # frames of the controllers' bases
         for name, arm in self.arms.items():
@@ -173,8 +161,7 @@ class RealDriver(Driver):
         """
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
-        held = {gripper: held.name for gripper, held in self._held.items()}
-        return self.guard.dry_run(trajectory, self.joint_state(), self._poses, held)
+        return self.guard.dry_run(trajectory, self.joint_state(), self._objects.poses, self._objects.held)
 
     def __exit__(self, *exc: object) -> None:
         self._supervisor = None
@@ -202,12 +189,8 @@ class RealDriver(Driver):
         """Return a fault if a thread of the real driver has ended or a gripper no longer answers."""
         arm = next(iter(self.arms), "")
         if not self._heartbeat.beats:
-            return Fault(
-                arm,
-                "watchdog thread stopped",
-                "the driver's watchdog thread has ended",
-                "start armcell again",
-            )
+            text = "the driver's watchdog thread has ended"
+            return Fault(arm, "watchdog thread stopped", text, "start armcell again")
         for name, gripper in self._grippers.items():
             if gripper.time_since_answer > GRIPPER_SILENCE:
                 text = f"gripper {name!r} has sent nothing for {gripper.time_since_answer:.1f} s"
@@ -412,16 +395,12 @@ class RealDriver(Driver):
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
         self._model.gripper(gripper)
         if gripper not in self._grippers:
-            raise InputError(
-                f"gripper {gripper!r} has no connection",
-                hint=self._gripper_hint(gripper),
-            )
+            raise InputError(f"gripper {gripper!r} has no connection", hint=self._gripper_hint(gripper))
         if not (np.isfinite(width) and np.isfinite(force)):
             raise InputError(f"gripper target {width} m, {force} N")
         present, holds = self._grippers[gripper].read()
         if width > present + 1e-3:
-            self._held.pop(gripper, None)
-            self._lost.discard(gripper)
+            self._objects.release(gripper)
         elif not holds:
             self.zero_wrench(gripper)  # the empty gripper begins to close
         self._forces[gripper] = force
@@ -433,10 +412,10 @@ class RealDriver(Driver):
             return GripperReading(g.width_in(self.joint_state()), 0.0)
         self._carry(gripper, self.joint_state().positions)
         width, holds = self._grippers[gripper].read()
-        held = self._held.get(gripper)
+        held = self._objects.held.get(gripper)
         if not holds or held is None:
             return GripperReading(width, 0.0)
-        return GripperReading(width, self._forces.get(gripper, 0.0), held.name)
+        return GripperReading(width, self._forces.get(gripper, 0.0), held)
 
     def wrench(self, gripper: str) -> NDArray[np.float64]:
         """Return the external wrench on a gripper of the real driver, as measured by the arm.
@@ -480,22 +459,10 @@ class RealDriver(Driver):
         """Update the real driver's object poses: an object that a gripper holds moves with the gripper."""
         width, holds = self._grippers[gripper].read()
         T_world_tcp = self._tree.link_pose(q, self._model.gripper(gripper).tcp_link)
-        held = self._held.get(gripper)
-        if held is not None and (not holds or width < held.width - LOST):
-            del self._held[gripper]
-            self._lost.add(gripper)
-        elif held is not None:
-            self._poses[held.name] = T_world_tcp @ held.T_tcp_object
-        elif holds and gripper not in self._lost:
-            for name, pose in self._poses.items():
-                low, high = self._scene.object(name).bounds()
-                point = pose.inverse().apply(T_world_tcp.translation)
-                if np.all(point >= low) and np.all(point <= high):
-                    self._held[gripper] = _HeldObject(name, T_world_tcp.inverse() @ pose, width)
-                    break
+        self._objects.update(gripper, T_world_tcp, width, holds)
 
     def object_poses(self) -> dict[str, SE3]:
-        return dict(self._poses)
+        return dict(self._objects.poses)
 
     def targets(self) -> JointState | None:
         self._connected()
