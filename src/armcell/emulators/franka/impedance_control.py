@@ -28,6 +28,20 @@ class Impedance:
     cartesian: Array = field(default_factory=lambda: np.array(CARTESIAN_STIFFNESS))
     damping: Array = field(default_factory=lambda: np.full(JOINTS, 50.0))
 
+    def set_stiffness(self, joint: bool, stiffness: Array) -> bool:
+        """Set the joint (7,) or Cartesian (6,) stiffness of the emulated Franka arm.
+        Return False and change nothing if Franka does not allow the values.
+        """
+        top = np.full(JOINTS, 14250.0) if joint else np.array([3000.0] * 3 + [300.0] * 3)
+        low = np.zeros(JOINTS) if joint else np.array([10.0] * 3 + [1.0] * 3)
+        if np.any(stiffness < low) or np.any(stiffness > top):
+            return False
+        if joint:
+            self.joint = stiffness
+        else:
+            self.cartesian = stiffness
+        return True
+
     def fit(self, inertia: Array) -> None:
         """Set the damping of the emulated Franka arm's joint control
         so that it suits an inertia (7,) [kg m^2].

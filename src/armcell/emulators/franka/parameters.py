@@ -32,6 +32,17 @@ class Thresholds:
     torque: dict[str, Array] = field(default_factory=lambda: _both((25, 25, 22, 20, 19, 17, 14), 10.0))
     force: dict[str, Array] = field(default_factory=lambda: _both((30, 30, 30, 25, 25, 25), 10.0))
 
+    def set(self, values: Array) -> bool:
+        """Set all thresholds of a Franka robot from the numbers (52,) of SetCollisionBehavior.
+        Return False and change nothing if one is negative.
+        """
+        if np.any(values < 0.0):
+            return False
+        names = ("lower_acceleration", "upper_acceleration", "lower", "upper")
+        self.torque = dict(zip(names, values[:28].reshape(4, 7), strict=True))
+        self.force = dict(zip(names, values[28:].reshape(4, 6), strict=True))
+        return True
+
 
 def _both(lower: Sequence[float], more: float) -> dict[str, Array]:
     low, high = np.array(lower, dtype=float), np.array(lower, dtype=float) + more
@@ -47,6 +58,14 @@ class Load:
     mass: float = 0.0
     center: Array = field(default_factory=lambda: np.zeros(3))
     inertia: Array = field(default_factory=lambda: np.zeros(9))
+
+    @property
+    def is_valid(self) -> bool:
+        """Return whether a Franka robot accepts the load, apart from the limit of the mass."""
+        tensor = self.inertia.reshape(3, 3)
+        if not (self.mass >= 0.0 and np.allclose(tensor, tensor.T)) or np.linalg.norm(self.center) > 0.5:
+            return False
+        return not np.linalg.eigvalsh(tensor)[0] < -1e-9
 
 
 @njit(cache=True)

@@ -438,14 +438,11 @@ class Robot:
 
     def set_load(self, mass: float, center: ArrayLike, inertia: ArrayLike) -> SetterStatus:
         """Set the load [kg] of the emulated Franka robot, its center (3,) [m] and inertia (9,) [kg m^2]."""
-        center, inertia = np.asarray(center, dtype=float), np.asarray(inertia, dtype=float)
-        tensor = inertia.reshape(3, 3)
+        load = Load(mass, np.asarray(center, dtype=float), np.asarray(inertia, dtype=float))
         heavy = mass + (motion_limits.HAND_MASS if self.plant.hand else 0.0) > motion_limits.MAX_LOAD
-        if not (mass >= 0.0 and np.allclose(tensor, tensor.T)) or heavy:
+        if heavy or not load.is_valid:
             return SetterStatus.INVALID_ARGUMENT
-        if np.linalg.norm(center) > 0.5 or np.linalg.eigvalsh(tensor)[0] < -1e-9:
-            return SetterStatus.INVALID_ARGUMENT
-        self.load = Load(mass, center, inertia)
+        self.load = load
         return SetterStatus.SUCCESS
 
     def set_frame(self, name: str, values: Sequence[float]) -> SetterStatus:
@@ -463,26 +460,13 @@ class Robot:
 
         Units are [Nm/rad] for joints and rotations, and [N/m] for translations.
         """
-        stiffness = np.array(values)
-        top = np.full(JOINTS, 14250.0) if joint else np.array([3000.0] * 3 + [300.0] * 3)
-        low = np.zeros(JOINTS) if joint else np.array([10.0] * 3 + [1.0] * 3)
-        if np.any(stiffness < low) or np.any(stiffness > top):
-            return SetterStatus.INVALID_ARGUMENT
-        if joint:
-            self.impedance.joint = stiffness
-        else:
-            self.impedance.cartesian = stiffness
-        return SetterStatus.SUCCESS
+        valid = self.impedance.set_stiffness(joint, np.array(values))
+        return SetterStatus.SUCCESS if valid else SetterStatus.INVALID_ARGUMENT
 
     def set_thresholds(self, values: Sequence[float]) -> SetterStatus:
         """Set the 52 contact and collision thresholds of the emulated Franka robot (SetCollisionBehavior)."""
-        numbers = np.array(values)
-        names = ("lower_acceleration", "upper_acceleration", "lower", "upper")
-        if np.any(numbers < 0.0):
-            return SetterStatus.INVALID_ARGUMENT
-        self.thresholds.torque = dict(zip(names, numbers[:28].reshape(4, 7), strict=True))
-        self.thresholds.force = dict(zip(names, numbers[28:].reshape(4, 6), strict=True))
-        return SetterStatus.SUCCESS
+        valid = self.thresholds.set(np.array(values))
+        return SetterStatus.SUCCESS if valid else SetterStatus.INVALID_ARGUMENT
 
     # --- modes of the state message ---
     @property
