@@ -114,8 +114,8 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _write_out(data: dict[str, Any], path: str) -> None:
-    """Expand a noise preset or a default value in the cell data into its components. An override at `path`
-    can then change a single component.
+    """Replace the name of a noise preset, or a default value, in the cell data by a mapping of its
+    components. An override at `path` can then change a single component.
     """
     match path.split("."):
         case ["cameras", name, "noise", _]:

@@ -155,8 +155,8 @@ def _numbers(model: RobotModel, gripper: Gripper) -> dict[str, str]:
 
 
 def has_unproven_gripper(proposal: SetupProposal) -> bool:
-    """Return whether any arm carries an end effector that has not held the cube in the simulation of `armcell
-    setup`.
+    """Return whether any arm carries an end effector that failed to hold the test cube in the simulation of
+    `armcell setup`.
     """
     ends = proposal.model.end_effectors.values()
     return any(end.parent_group and end.name not in proposal.model.grippers for end in ends)

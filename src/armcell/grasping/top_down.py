@@ -61,7 +61,8 @@ def top_down_grasps(
     settings: TopDownGraspSettings = TopDownGraspSettings(),
     avoid: Sequence[tuple[float, float, float]] = (),
 ) -> list[HeapGrasp]:
-    """Return grasp candidates for the pieces of a heap, from above and best first.
+    """Return grasp candidates for the pieces of a heap, sorted from best to worst. The hand approaches each
+    piece from above.
 
     Args:
         labels: (nx, ny) piece number of each cell, -1 for none.

@@ -214,8 +214,8 @@ def _certify_padded(checker: KernelChecker, chords: Array, slack: Array | None) 
 def complete_motion(
     validated: ValidatedRequest, checker: KernelChecker, waypoints: Array, trajectory: JointTrajectory
 ) -> PlannedMotion:
-    """Complete a certified motion: begin with the lead-in from the robot's actual state, and limit the
-    Cartesian speed.
+    """Prepend the short motion from the robot's actual state to a certified motion, and limit the Cartesian
+    speed of the result.
     """
     request, note = validated.request, ""
     if validated.lead_in is not None:

@@ -50,7 +50,7 @@ class PartialSolution:
 
 @dataclass
 class SearchState:
-    """Planning state that the stages of a task search share: settings, seed, cancellation and rejections."""
+    """Planning state of one task search, used by all stages: settings, seed, cancellation and rejections."""
 
     settings: TaskSettings
     seed: int = 0

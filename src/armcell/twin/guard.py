@@ -119,8 +119,8 @@ class TwinGuard:
         self, following: ExecutionHandle, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
         trip: Callable[[Fault], None], sent_for: SetpointHistory | None = None, forced: bool = False,
     ) -> ExecutionHandle:  # fmt: skip
-        """Wrap the handle of a running motion, so that the twin guard compares
-        the arms with their simulated twin at each reading.
+        """Wrap the handle of a running motion, so that the twin guard compares the
+        real arms with their simulated twin whenever the executor reads the handle.
 
         Args:
             following: handle of the running motion.

@@ -184,7 +184,7 @@ class RealArm(ABC):
     # --- motion ---
     @abstractmethod
     def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
-        """Start a trajectory that a real arm plays itself, and return a handle for it.
+        """Start a trajectory that a real arm's controller executes on its own, and return a handle for it.
 
         A robot without such a function streams the setpoints in a thread of its own: see `StreamedExecution`.
         """

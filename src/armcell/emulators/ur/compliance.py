@@ -44,8 +44,8 @@ class Compliance:
     _speed: Array = field(default_factory=lambda: np.zeros(6))
 
     def keep_speed(self, before: Compliance) -> None:
-        """Keep the speed of the previous force mode, so that the compliant
-        motion does not jump when its parameters change.
+        """Keep the arm's current compliant speed when the parameters of force mode change, so that the
+        motion does not jump.
         """
         self._speed = before._speed
 

@@ -220,7 +220,9 @@ def _mesh(shape: Shape | None) -> Mesh | None:
 
 
 def _cup(cup: MeasuredCup) -> SuctionCup:
-    """Return a measured cup as an entry of a gripper: its frame is at the ring, behind the free lip."""
+    """Return the entry of a measured suction cup in a gripper's description. The cup's frame is at its
+    rigid ring, behind the flexible lip.
+    """
     x = np.eye(3)[np.argmin(np.abs(cup.axis))]
     y = np.asarray(np.cross(cup.axis, x), dtype=float)
     y /= np.linalg.norm(y)

@@ -20,8 +20,8 @@ CHARACTERS = 64  # number of characters that count as one item
 
 
 class XacroError(Exception):
-    """Error for a xacro file that is invalid, uses a feature that armcell does not support, or exceeds the
-    budget.
+    """Error for a xacro file that is invalid, uses a feature that armcell does not support, or exceeds its
+    limits of work and memory.
     """
 
     def __init__(self, reason: str, hint: str | None = None):

@@ -207,7 +207,7 @@ class Diagnosis:
 
     def tip_distance(self, a: Array, b: Array) -> float | None:
         """Return the distance [m] between the tip's positions at two configurations a and b (n,) of the
-        diagnosed group.
+        planning group.
 
         Return None if the group has no tip.
         """
