@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import logging
 import os
 import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
@@ -57,3 +60,41 @@ def keep(kind: str, key: str, **arrays: NDArray) -> None:
         os.replace(temporary.name, file)
     except OSError as error:
         logger.info("cannot keep %s: %s", file, error)
+
+
+def recall_or_compute(
+    kind: str, key: str, compute: Callable[[], Mapping[str, NDArray]]
+) -> Mapping[str, NDArray]:
+    """Return arrays from the disk cache; if they are missing, compute and store them.
+
+    If several processes or threads need the same arrays, one computes them while the others wait.
+    """
+    if (stored := recall(kind, key)) is not None:
+        return stored
+    with _locked(cache_root() / kind / f"{key}.lock"):
+        if (stored := recall(kind, key)) is not None:
+            return stored
+        found = compute()
+        keep(kind, key, **found)
+    return found
+
+
+@contextlib.contextmanager
+def _locked(file: Path) -> Iterator[None]:
+    """Hold an exclusive lock on a file; without a writable folder or locks (Windows), hold none."""
+    try:
+        import fcntl
+
+        make(file.parent)
+        stream = open(file, "ab")  # noqa: SIM115
+    except (ImportError, OSError):
+        yield
+        return
+    with stream:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(stream, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                file.unlink()  # who waits for it finds the stored arrays

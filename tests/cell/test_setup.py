@@ -81,6 +81,7 @@ def test_ignored_pairs_never_touch_or_always(name, tmp_path, proposed):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda", "ur5")
 @pytest.mark.parametrize("name", NAMES)
 def test_what_touches_is_checked(name, proposed):
     """The other way round, by the exact checker: every pair seen in contact is not ignored as "Never"."""
@@ -95,6 +96,7 @@ def test_what_touches_is_checked(name, proposed):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("panda", "ur5")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_written_cell_plans_at_once(name, tmp_path, proposed):
     write_cell(proposed(name), tmp_path / "cell")
@@ -112,6 +114,7 @@ def test_a_written_cell_plans_at_once(name, tmp_path, proposed):
     assert moved
 
 
+@pytest.mark.cases("panda", "ur5")
 @pytest.mark.parametrize("name", NAMES)
 def test_moveit_reads_the_same(name, tmp_path, proposed):
     """A round trip: the files read as a MoveIt package give the model that was proposed."""

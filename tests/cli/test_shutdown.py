@@ -495,13 +495,17 @@ def test_a_signal_to_the_whole_group_is_the_campaigns_alone(tmp_path):
         command.ended_by(INT)
 
 
-def test_the_process_that_glfw_s_import_starts_prints_nothing():
-    """It reads its standard input, and prints a traceback if that ends first."""
+@pytest.mark.parametrize(("session", "status"), [("x11", 0), ("wayland", 7)])
+def test_the_process_that_glfw_s_import_starts_prints_nothing(session, status):
+    """It reads its standard input, and prints a traceback if that ends first. For X11 none is started."""
     script = (
         "import os, subprocess; subprocess.Popen.communicate = lambda *a: os._exit(7)\nimport armcell.sim"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60)
-    assert (done.returncode, done.stderr) == (7, b"")
+    environment = {**os.environ, "XDG_SESSION_TYPE": session}
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, timeout=60, env=environment, check=False
+    )
+    assert (done.returncode, done.stderr) == (status, b"")
 
 
 @pytest.mark.interop

@@ -50,7 +50,7 @@ def test_named_states_are_free(name):
 
 
 @pytest.mark.slow
-@pytest.mark.cases("panda-few", "panda_ur10e-few", "scara-few", "palletizer-few", "ur5-few", "z1-few")
+@pytest.mark.cases("panda-few", "scara-few", "ur5-few")
 @pytest.mark.parametrize("samples", sizes(60, 300))
 @pytest.mark.parametrize("name", installed_robots())
 def test_sampling_anew_finds_the_srdf_s_pairs(name, samples):

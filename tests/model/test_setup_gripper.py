@@ -77,6 +77,7 @@ def test_the_jaws_close_along_y_around_the_grip_center(name, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.cases("2F-85", "Franka")
 @pytest.mark.parametrize("name", HANDS)
 def test_the_hand_holds_a_cube(name, monkeypatch):
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(SHARED))

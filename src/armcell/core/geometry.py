@@ -287,6 +287,9 @@ def extent(shape: Shape, direction: F64) -> tuple[float, float]:
     unit vector (3,).
 
     The direction is in the shape's frame.
+
+    Raises:
+        InputError: `shape` is not a shape.
     """
     x, y, z = (float(v) for v in direction)
     across = float(np.hypot(x, y))
@@ -314,6 +317,8 @@ def extent(shape: Shape, direction: F64) -> tuple[float, float]:
             return min(apex, -apex - rim), max(apex, -apex + rim)
         case Plane():
             half = PLANE_EXTENT_M
+        case _:
+            raise InputError(f"{shape!r} is not a shape")
     return -half, half
 
 

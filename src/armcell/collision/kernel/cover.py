@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from armcell._array_store import keep, key_of, recall
+from armcell._array_store import key_of, recall_or_compute
 from armcell.collision.coal_shapes import triangle_model
 from armcell.collision.winding import winding_numbers
 from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
@@ -228,12 +228,13 @@ def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
     Covers are cached on disk by the content of the shape, so each robot's covers are fitted once per machine.
     """
     key = shape_key(shape, overshoot)
-    stored = recall("covers", key)
-    if stored is not None and {"centers", "outer", "inner"} <= stored.keys():
-        return _grouped(stored["centers"], stored["outer"], stored["inner"])
-    found = fit(shape, overshoot)
-    keep("covers", key, centers=found.centers, outer=found.outer, inner=found.inner)
-    return found
+
+    def fitted() -> dict[str, F64]:
+        found = fit(shape, overshoot)
+        return {"centers": found.centers, "outer": found.outer, "inner": found.inner}
+
+    stored = recall_or_compute("covers", key, fitted)
+    return _grouped(stored["centers"], stored["outer"], stored["inner"])
 
 
 def fit(shape: Shape, overshoot: float) -> Cover:
