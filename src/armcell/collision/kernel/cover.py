@@ -188,36 +188,103 @@ def _holds(e, p, x, y, z, reach2):
 
 
 @njit(cache=True)
-def _greedy(e, centers, reach2):
+def _cells(e, size):
+    """Sort the elements (9, n) of a shape into the cells of a grid by their first corner.
+
+    Args:
+        size: edge length of a cell [m].
+    Returns:
+        Lowest corner (3,) of the grid, its shape (3,), and the elements in the order of the cells: those of
+        cell c are `order[starts[c] : starts[c + 1]]`.
+    """
+    n = e.shape[1]
+    low, shape = np.empty(3), np.empty(3, dtype=np.int64)
+    for i in range(3):
+        low[i] = e[i].min()
+        shape[i] = int((e[i].max() - low[i]) / size) + 1
+    starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int64)
+    cell, order = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    for p in range(n):
+        x, y, z = (
+            int((e[0, p] - low[0]) / size),
+            int((e[1, p] - low[1]) / size),
+            int((e[2, p] - low[2]) / size),
+        )
+        cell[p] = (x * shape[1] + y) * shape[2] + z
+        starts[cell[p] + 1] += 1
+    for c in range(len(starts) - 1):
+        starts[c + 1] += starts[c]
+    filled = starts.copy()
+    for p in range(n):
+        order[filled[cell[p]]] = p
+        filled[cell[p]] += 1
+    return low, shape, starts, order
+
+
+@njit(cache=True)
+def _count(e, grid, size, ball, held, take):
+    """Count the uncovered elements of a shape that a ball contains.
+
+    Args:
+        grid, size: from `_cells`.
+        ball: center x, y, z and squared radius.
+        held: (n,) which elements are covered.
+        take: mark the counted elements as covered.
+    """
+    low, shape, starts, order = grid
+    x, y, z, reach2 = ball
+    reach = np.sqrt(reach2)
+    first, last = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
+    for i in range(3):
+        first[i] = max(int(np.floor((ball[i] - reach - low[i]) / size)), 0)
+        last[i] = min(int(np.floor((ball[i] + reach - low[i]) / size)), shape[i] - 1)
+    count = 0
+    for i in range(first[0], last[0] + 1):
+        for j in range(first[1], last[1] + 1):
+            row = (i * shape[1] + j) * shape[2]
+            for at in range(starts[row + first[2]], starts[row + last[2] + 1]):
+                p = order[at]
+                if not held[p] and _holds(e, p, x, y, z, reach2):
+                    count += 1
+                    if take:
+                        held[p] = True
+    return count
+
+
+@njit(cache=True)
+def _greedy(e, centers, reach2, size):
     """Choose balls for a sphere cover greedily. Each step chooses the ball with the most uncovered elements
     of the shape, until no ball contains an uncovered element.
 
-    Elements are (9, n). The balls have squared radii `reach2`. Returns the chosen balls and which elements
-    they contain.
+    A ball's gain only decreases, so old gains are upper bounds: only those of the best balls are counted
+    anew.
+
+    Args:
+        e: (9, n) elements.
+        reach2: (m,) squared radii of the balls.
+        size: edge length [m] of the grid cells in which elements are looked up.
+    Returns:
+        The chosen balls, and which elements they contain.
     """
     n, m = e.shape[1], len(centers)
-    gain = np.zeros(m, dtype=np.int64)
+    grid, held = _cells(e, size), np.zeros(n, dtype=np.bool_)
+    gain = np.empty(m, dtype=np.int64)
     for c in range(m):
-        x, y, z, r = centers[c, 0], centers[c, 1], centers[c, 2], reach2[c]
-        for p in range(n):
-            if _holds(e, p, x, y, z, r):
-                gain[c] += 1
-    held = np.zeros(n, dtype=np.bool_)
+        ball = (centers[c, 0], centers[c, 1], centers[c, 2], reach2[c])
+        gain[c] = _count(e, grid, size, ball, held, False)
     chosen = []
     while True:
         best = np.argmax(gain)
         if gain[best] == 0:
             break
+        ball = (centers[best, 0], centers[best, 1], centers[best, 2], reach2[best])
+        now = _count(e, grid, size, ball, held, False)
+        if now < gain[best]:
+            gain[best] = now
+            continue
         chosen.append(best)
-        for p in range(n):
-            if held[p] or not _holds(
-                e, p, centers[best, 0], centers[best, 1], centers[best, 2], reach2[best]
-            ):
-                continue
-            held[p] = True
-            for c in range(m):
-                if _holds(e, p, centers[c, 0], centers[c, 1], centers[c, 2], reach2[c]):
-                    gain[c] -= 1
+        gain[best] = 0
+        _count(e, grid, size, ball, held, True)
     return np.array(chosen, dtype=np.int64), held
 
 
@@ -253,7 +320,7 @@ def fit(shape: Shape, overshoot: float) -> Cover:
     inner = np.concatenate([depth, np.zeros(len(thin))])
     outer = inner + overshoot
     reach2 = (outer - round_gap) ** 2
-    chosen, held = _greedy(np.ascontiguousarray(elements.reshape(-1, 9).T), centers, reach2)
+    chosen, held = _greedy(np.ascontiguousarray(elements.reshape(-1, 9).T), centers, reach2, 2 * overshoot)
     missing = elements[~held]  # repair: elements that no candidate contains get their own ball
     while len(missing):
         center = missing[0].mean(axis=0)
