@@ -8,8 +8,10 @@
 VENV := .venv
 BIN  := $(VENV)/bin
 PY   := $(BIN)/python
-# Processes that run tests: three per core, since most of a test's time is waiting for an arm or a program.
-JOBS ?= $(shell echo $$((3 * $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2))))
+# Processes that run tests: two per core, since half of a test's time is waiting for an arm or a program. Each
+# further process costs 30 CPU-s for collection and kernels; the quick tests rarely wait.
+CORES := $(shell getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2)
+JOBS ?= $(shell echo $$((2 * $(CORES))))
 # Workers take neighboring tests, which share fixtures, and steal from each other at the end.
 PYTEST := $(PY) -m pytest -n $(JOBS) --dist worksteal
 TESTS := not interop and not realtime and not long
@@ -59,7 +61,7 @@ test: $(VENV)/.stamp ## set up, then lint and run all tests but the long, intero
 	  $(PY) -m pytest --last-failed --last-failed-no-failures none -m "$(TESTS)"; }
 
 check: prepare ## set up, then run the quick tests
-	$(PYTEST) -m "not slow and $(TESTS)"
+	$(PYTEST) -n $(CORES) -m "not slow and $(TESTS)"
 
 prepare: $(VENV)/.stamp ## set up, then compile the kernels and fit the covers that tests use
 	$(PY) -m tests.prepare
