@@ -13,7 +13,7 @@ PY   := $(BIN)/python
 CORES := $(shell getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2)
 JOBS ?= $(shell echo $$((2 * $(CORES))))
 # Workers take neighboring tests, which share fixtures, and steal from each other at the end.
-PYTEST := $(PY) -m pytest -n $(JOBS) --dist worksteal
+PYTEST = $(PY) -m pytest -n $(JOBS) --dist worksteal
 TESTS := not interop and not realtime and not long
 # PYTHON= names the interpreter to use; without it the first usable one of these is taken.
 CANDIDATES := $(if $(PYTHON),$(PYTHON),python3.13 python3.12 python3.11 python3)
@@ -60,8 +60,9 @@ test: $(VENV)/.stamp ## set up, then lint and run all tests but the long, intero
 	  echo "Running the failed tests again, one at a time: on a busy machine, time limits can be missed."; \
 	  $(PY) -m pytest --last-failed --last-failed-no-failures none -m "$(TESTS)"; }
 
+check: JOBS = $(CORES)
 check: prepare ## set up, then run the quick tests
-	$(PYTEST) -n $(CORES) -m "not slow and $(TESTS)"
+	$(PYTEST) -m "not slow and $(TESTS)"
 
 prepare: $(VENV)/.stamp ## set up, then compile the kernels and fit the covers that tests use
 	$(PY) -m tests.prepare

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 import yaml
+from tests.cell.starter import check_starter
 from tests.cell.written import Written
 from tests.model.helpers import EXAMPLES, MBM, collision, joint, link, robot
 from tests.once import once
 
 import armcell
-from armcell.cell import run_task
 from armcell.cell.setup import SetupProposal, cell_files, propose, propose_from_package, write_cell
 from armcell.cli.new import write_starter
 from armcell.collision import ExactChecker
@@ -156,12 +156,7 @@ def test_one_moving_jaw_picks_and_places(file, tmp_path):
     proposal = propose([UrdfPart(file)], SAMPLES)
     write_cell(proposal, tmp_path)
     assert write_starter(load_robot(tmp_path), ".", tmp_path)
-    assert "place:" in (tmp_path / "cell.yaml").read_text()
-    cell = armcell.load(tmp_path)
-    with cell.connect("sim", seed=0) as live:
-        result = run_task(cell, live, 0, "sim")
-    assert result["success"], result["message"]
-    assert result["unwanted_contacts"] == [] and result["welds"] == []
+    check_starter(tmp_path)
 
 
 @pytest.mark.slow
@@ -180,12 +175,7 @@ def test_suction_cups_pick_and_place(tmp_path):
     proposal = propose([UrdfPart(file)], SAMPLES, grippers=[GripperSpec.parse("suction")])
     write_cell(proposal, tmp_path / "cell")
     assert write_starter(load_robot(tmp_path / "cell"), ".", tmp_path / "cell")
-    assert "place:" in (tmp_path / "cell/cell.yaml").read_text()
-    cell = armcell.load(tmp_path / "cell")
-    with cell.connect("sim", seed=0) as live:
-        result = run_task(cell, live, 0, "sim")
-    assert result["success"], result["message"]
-    assert result["unwanted_contacts"] == [] and result["welds"] == []
+    check_starter(tmp_path / "cell")
 
 
 @pytest.mark.long

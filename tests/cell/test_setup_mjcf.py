@@ -6,10 +6,9 @@ import warnings
 
 import pytest
 import yaml
+from tests.cell.starter import check_starter
 from tests.cli.helpers import call
 
-import armcell
-from armcell.cell import run_task
 from armcell.kinematics import kinematic_tree
 from armcell.model import load_robot
 
@@ -123,9 +122,4 @@ def test_an_arm_with_coupled_fingers_picks_and_places(hand, tmp_path, capsys, ca
         assert left == pytest.approx(-right, abs=1e-3)
         apart.append(abs(left - right))
     assert apart[1] - apart[0] == pytest.approx(0.04, abs=1e-3)
-    assert "place:" in (tmp_path / "cell/cell.yaml").read_text()
-    cell = armcell.load(tmp_path / "cell")
-    with cell.connect("sim", seed=0) as live:
-        result = run_task(cell, live, 0, "sim")
-    assert result["success"], result["message"]
-    assert result["unwanted_contacts"] == [] and result["welds"] == []
+    check_starter(tmp_path / "cell")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armcell._array_store import keep, key_of, recall
+from armcell._array_store import key_of, recall_or_compute
 from armcell.core import SE3, SO3, Box, InputError
 from armcell.grasping import support_surface, surface_of
 from armcell.scene import CollisionObject, PlanningScene
@@ -43,11 +43,13 @@ def drop_objects(scene: PlanningScene, names: Sequence[str], into: str, seed: in
         ]
         parts.append(surface_of(item).triangles.tobytes().hex())
     key = key_of(*parts)
-    stored = recall("drops", key)
-    if stored is None:
-        poses = _fallen(scene, names, into, seed)
-        stored = {"poses": np.array([poses[n].matrix for n in names])}
-        keep("drops", key, **stored)
+    before = scene
+
+    def computed() -> dict[str, np.ndarray]:
+        poses = _fallen(before, names, into, seed)
+        return {"poses": np.array([poses[n].matrix for n in names])}
+
+    stored = recall_or_compute("drops", key, computed)
     for name, T in zip(names, stored["poses"], strict=True):
         scene = scene.with_object_pose(name, SE3.from_matrix(T))
     return scene

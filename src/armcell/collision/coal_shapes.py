@@ -14,7 +14,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell._array_store import keep, key_of, recall
+from armcell._array_store import key_of, recall_or_compute
 from armcell.collision.winding import winding_numbers
 from armcell.core import (
     Box,
@@ -262,10 +262,7 @@ def is_convex(mesh: Mesh) -> bool:
     No vertex may be deeper than `CONVEX_DENT` inside the hull.
     """
     key = key_of("convex", mesh.vertices, mesh.faces, f"{CONVEX_EXCESS} {CONVEX_DENT}")
-    stored = recall("meshes", key)
-    if stored is None:
-        stored = {"convex": np.array(_is_convex(mesh))}
-        keep("meshes", key, **stored)
+    stored = recall_or_compute("meshes", key, lambda: {"convex": np.array(_is_convex(mesh))})
     return bool(stored["convex"])
 
 

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell._array_store import keep, key_of, recall
+from armcell._array_store import key_of, recall_or_compute
 from armcell.core import InputError, Mesh
 
 Array = NDArray[np.float64]
@@ -43,13 +43,14 @@ def stored_pieces(key: str, make: Callable[[], tuple[Mesh, ...]]) -> tuple[Mesh,
     """Return the convex pieces of a mesh from the cache on disk.
     If the cache has no entry for the key, compute the pieces.
     """
-    stored = recall("pieces", key)
-    if stored is None:
+
+    def computed() -> dict[str, NDArray]:
         pieces = make()
         counts = np.array([(len(p.vertices), len(p.faces)) for p in pieces])
         vertices, faces = np.vstack([p.vertices for p in pieces]), np.vstack([p.faces for p in pieces])
-        keep("pieces", key, counts=counts, vertices=vertices, faces=faces)
-        return pieces
+        return {"counts": counts, "vertices": vertices, "faces": faces}
+
+    stored = recall_or_compute("pieces", key, computed)
     v, f = np.cumsum(stored["counts"], axis=0)[:-1].T
     parts = zip(np.split(stored["vertices"], v), np.split(stored["faces"], f), strict=True)
     return tuple(Mesh(vertices, faces.astype(np.int32)) for vertices, faces in parts)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell._array_store import keep, key_of, recall
+from armcell._array_store import key_of, recall_or_compute
 from armcell.core import Capsule, Cylinder, Sphere
 from armcell.grasping.surface import Surface, surface_of
 from armcell.scene import CollisionObject
@@ -62,19 +62,19 @@ def _rests(surface: Surface) -> list[StablePose]:
     corners = surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
     corners = np.unique(corners.round(7), axis=0)
     key = key_of(f"{FLAT} {SAME}", corners, surface.center_of_mass)
-    stored = recall("stable_poses", key)
-    if stored is not None:
-        feet = np.split(stored["feet"], stored["ends"][:-1])
-        return [StablePose(*each) for each in zip(stored["ups"], feet, stored["margins"].tolist())]
-    found = _computed_rests(corners, surface.center_of_mass)
-    keep(
-        "stable_poses", key,
-        ups=np.array([rest.up for rest in found]),
-        feet=np.concatenate([np.zeros((0, 3)), *(rest.foot for rest in found)]),
-        ends=np.cumsum([len(rest.foot) for rest in found], dtype=np.int64),
-        margins=np.array([rest.margin for rest in found]),
-    )  # fmt: skip
-    return found
+
+    def computed() -> dict[str, NDArray]:
+        found = _computed_rests(corners, surface.center_of_mass)
+        return {
+            "ups": np.array([rest.up for rest in found]),
+            "feet": np.concatenate([np.zeros((0, 3)), *(rest.foot for rest in found)]),
+            "ends": np.cumsum([len(rest.foot) for rest in found], dtype=np.int64),
+            "margins": np.array([rest.margin for rest in found]),
+        }
+
+    stored = recall_or_compute("stable_poses", key, computed)
+    feet = np.split(stored["feet"], stored["ends"][:-1])
+    return [StablePose(*each) for each in zip(stored["ups"], feet, stored["margins"].tolist())]
 
 
 def _computed_rests(corners: Array, center_of_mass: Array) -> list[StablePose]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import re
 import sys
@@ -16,13 +17,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell._array_store import keep, key_of, recall
+from armcell._array_store import key_of, recall_or_compute
 from armcell.core import InputError, Mesh
 from armcell.model.command_line_options import package_folder
 from armcell.model.untrusted_files import read_text
 
 if TYPE_CHECKING:
     import trimesh
+
+    from armcell.model.robot import Visual
+
+logger = logging.getLogger(__name__)
 
 MAX_MESH_BYTES = 100_000_000
 MAX_PACKAGE_BYTES = 1_000_000  # size limit of a package.xml
@@ -291,11 +296,9 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
         return Mesh(*_read_mesh(path, scale), path)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     key = key_of(version("trimesh"), path.suffix.lower(), repr(scale), digest)
-    stored = recall("meshes", key)
-    if stored is None:
-        vertices, faces = _read_mesh(path, scale)
-        keep("meshes", key, vertices=vertices, faces=faces)
-        return Mesh(vertices, faces, path)
+    stored = recall_or_compute(
+        "meshes", key, lambda: dict(zip(("vertices", "faces"), _read_mesh(path, scale), strict=True))
+    )
     return Mesh(stored["vertices"], stored["faces"], path)
 
 
@@ -371,22 +374,38 @@ def load_visual_parts(
         return _read_visual_parts(path, scale)
     digest = hashlib.sha256(content).hexdigest()
     key = key_of("visual", version("trimesh"), path.suffix.lower(), repr(scale), digest)
-    stored = recall("meshes", key)
-    if stored is None:
+
+    def read() -> dict[str, NDArray]:
         parts = _read_visual_parts(path, scale)
-        keep(
-            "meshes", key,
-            vertices=np.concatenate([mesh.vertices for mesh, _ in parts]),
-            faces=np.concatenate([mesh.faces for mesh, _ in parts]),
-            ends=np.cumsum([(len(mesh.vertices), len(mesh.faces)) for mesh, _ in parts], axis=0),
-            colors=np.array([color for _, color in parts]),
-        )  # fmt: skip
-        return parts
+        return {
+            "vertices": np.concatenate([mesh.vertices for mesh, _ in parts]),
+            "faces": np.concatenate([mesh.faces for mesh, _ in parts]),
+            "ends": np.cumsum([(len(mesh.vertices), len(mesh.faces)) for mesh, _ in parts], axis=0),
+            "colors": np.array([color for _, color in parts]),
+        }
+
+    stored = recall_or_compute("meshes", key, read)
     vertices, faces = (
         np.split(stored[name], stored["ends"][:-1, i]) for i, name in enumerate(("vertices", "faces"))
     )
     colors = [(r, g, b, a) for r, g, b, a in stored["colors"].tolist()]
     return tuple((Mesh(v, f, path), color) for v, f, color in zip(vertices, faces, colors, strict=True))
+
+
+def visual_parts(visual: Visual) -> tuple[tuple[Mesh, Color], ...]:
+    """Load the meshes [m, visual frame] of a link's visual element, with their RGBA colors.
+
+    A mesh file that cannot be read is logged and yields no meshes: an image without one link is better than
+    no run.
+    """
+    if visual.file is None:
+        return ()
+    try:
+        parts = load_visual_parts(visual.file, visual.scale)
+    except InputError as error:
+        logger.warning("visual mesh is not drawn: %s", error)
+        return ()
+    return parts if visual.color is None else tuple((mesh, visual.color) for mesh, _ in parts)
 
 
 def _read_visual_parts(path: Path, scale: tuple[float, float, float]) -> tuple[tuple[Mesh, Color], ...]:

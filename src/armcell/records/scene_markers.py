@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, Box, Cone, Contact, Cylinder, Mesh, Plane, Shape, Sphere, simpler_parts
 from armcell.model import Link, RobotModel
-from armcell.model.assets import DEFAULT_COLOR, decimated
+from armcell.model.assets import DEFAULT_COLOR, decimated, visual_parts
 from armcell.scene import WORLD, CollisionObject
 
 Color = tuple[float, ...]  # RGBA, 0..1
@@ -233,8 +233,6 @@ def _drawn(mesh: Mesh) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
 
 def _link_shapes(link: Link) -> list[Drawn]:
     """Return what a marker draws for a link: its visuals, or without visuals its collision shapes."""
-    from armcell.sim.shapes import visual_parts  # imported late: readers of records need no physics
-
     if not link.visuals:
         return [(c.shape, c.T_link_shape, DEFAULT_COLOR) for c in link.collisions]
     shapes: list[Drawn] = []

@@ -61,9 +61,10 @@ class Topic:
 
     def remove(self, member: Member) -> None:
         with self.lock:
-            for members in (self.publishers, self.receivers):
-                if member in members:
-                    members.remove(member)  # type: ignore[arg-type]
+            if isinstance(member, Publisher) and member in self.publishers:
+                self.publishers.remove(member)
+            elif isinstance(member, Attachment) and member in self.receivers:
+                self.receivers.remove(member)
 
     def publish(self, publisher: Publisher, message: Any) -> None:
         with self.lock:

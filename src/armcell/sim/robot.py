@@ -10,7 +10,7 @@ import numpy as np
 
 from armcell.core import SE3, Mesh
 from armcell.model import Gripper, Joint, Link, RobotModel
-from armcell.model.assets import DEFAULT_COLOR
+from armcell.model.assets import DEFAULT_COLOR, visual_parts
 from armcell.model.mjcf.spec import physics_spec
 from armcell.model.robot import MjcfPart
 from armcell.scene import WORLD, PlanningScene
@@ -22,7 +22,6 @@ from armcell.sim.shapes import (
     VISUAL_GROUP,
     GeomAdder,
     full_inertia,
-    visual_parts,
 )
 
 

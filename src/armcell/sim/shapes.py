@@ -17,7 +17,6 @@ from armcell.core import (
     Capsule,
     Cone,
     Cylinder,
-    InputError,
     Mesh,
     Octree,
     Plane,
@@ -25,8 +24,6 @@ from armcell.core import (
     Shape,
     Sphere,
 )
-from armcell.model import Visual
-from armcell.model.assets import Color, load_visual_parts
 
 logger = logging.getLogger(__name__)
 
@@ -44,7 +41,6 @@ _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
     Capsule: (GEOM.mjGEOM_CAPSULE, lambda s: [s.radius, s.length / 2, 0]),
     Plane: (GEOM.mjGEOM_PLANE, lambda s: [0, 0, 1]),  # size 0 means infinite
 }
-log = logging.getLogger(__name__)
 
 
 class GeomAdder:
@@ -124,20 +120,3 @@ def full_inertia(inertia: NDArray[np.float64]) -> list[float]:
     The order is xx, yy, zz, xy, xz, yz.
     """
     return [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-
-
-def visual_parts(visual: Visual) -> tuple[tuple[Mesh, Color], ...]:
-    """Load the meshes [m, visual frame] of a link's visual element, with their RGBA colors, for the
-    simulation.
-
-    A mesh file that cannot be read is logged and yields no meshes: an image without one link is better than
-    no run.
-    """
-    if visual.file is None:
-        return ()
-    try:
-        parts = load_visual_parts(visual.file, visual.scale)
-    except InputError as error:
-        log.warning("visual mesh is not drawn: %s", error)
-        return ()
-    return parts if visual.color is None else tuple((mesh, visual.color) for mesh, _ in parts)

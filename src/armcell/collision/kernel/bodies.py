@@ -16,7 +16,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell._array_store import keep, key_of, recall
+from armcell._array_store import key_of, recall_or_compute
 from armcell.collision.coal_shapes import solid
 from armcell.collision.convex_decomposition import VERSION as PIECES_VERSION
 from armcell.collision.convex_decomposition import convex_pieces
@@ -133,16 +133,18 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
     version = PIECES_VERSION if split is convex_pieces else (split.__name__, OBJECT_VERSION)
     versions = repr((BODY_VERSION, FIT_VERSION, version, GROUP))
     key = key_of(versions, *(part for shape, T, over in shapes for part in _content(shape, T, over)))
-    stored = recall("bodies", key)
-    if stored is None:
+
+    def computed() -> dict[str, NDArray]:
         body = _new_body(shapes, split)
         p = body.pieces
-        keep(
-            "bodies", key, around=body.around, spheres=body.spheres, groups=body.groups,
-            sizes=np.array(body.sizes, np.int64), piece_kind=p.kind, piece_size=p.size, piece_pose=p.pose,
-            piece_ball=p.ball, corner_count=p.corners.count, corners=p.corners.points,
-        )  # fmt: skip
-        return body
+        return {
+            "around": body.around, "spheres": body.spheres, "groups": body.groups,
+            "sizes": np.array(body.sizes, np.int64), "piece_kind": p.kind, "piece_size": p.size,
+            "piece_pose": p.pose, "piece_ball": p.ball, "corner_count": p.corners.count,
+            "corners": p.corners.points,
+        }  # fmt: skip
+
+    stored = recall_or_compute("bodies", key, computed)
     corners = HullVertices(stored["corner_count"], stored["corners"])
     pieces = ConvexPieces(
         stored["piece_kind"], stored["piece_size"], stored["piece_pose"], stored["piece_ball"], corners
@@ -227,14 +229,15 @@ def narrow_gaps(model: RobotModel) -> frozenset[str]:
     used = sorted({k for pair in pairs for k in pair})
     meshes = [a for k in used for a in _mesh_arrays(links[k])]
     key = key_of(repr((NARROW_GAPS_VERSION, pairs, FINE_OVERSHOOT, LINK_OVERSHOOT)), poses[:, used], *meshes)
-    stored = recall("gaps", key)
-    if stored is None:
+
+    def computed() -> dict[str, NDArray]:
         share = [
             np.mean([_needs_fine_cover(links[base], T[base], links[k], T[k]) for T in poses])
             for base, k in pairs
         ]
-        stored = {"share": np.array(share)}
-        keep("gaps", key, **stored)
+        return {"share": np.array(share)}
+
+    stored = recall_or_compute("gaps", key, computed)
     return frozenset(
         links[base].name
         for (base, _), share in zip(pairs, stored["share"], strict=True)

@@ -233,11 +233,13 @@ def _count(e, grid, size, ball, held, take):
     """
     low, shape, starts, order = grid
     x, y, z, reach2 = ball
-    reach = np.sqrt(reach2)
+    reach = np.sqrt(reach2) * (1 + 1e-9)  # rounding must not exclude a cell
     first, last = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
     for i in range(3):
         first[i] = max(int(np.floor((ball[i] - reach - low[i]) / size)), 0)
         last[i] = min(int(np.floor((ball[i] + reach - low[i]) / size)), shape[i] - 1)
+        if first[i] > last[i]:
+            return 0
     count = 0
     for i in range(first[0], last[0] + 1):
         for j in range(first[1], last[1] + 1):
@@ -257,7 +259,7 @@ def _greedy(e, centers, reach2, size):
     of the shape, until no ball contains an uncovered element.
 
     A ball's gain only decreases, so old gains are upper bounds: only those of the best balls are counted
-    anew.
+    again.
 
     Args:
         e: (9, n) elements.

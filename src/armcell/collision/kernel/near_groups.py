@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from armcell._array_store import keep, key_of, recall
+from armcell._array_store import key_of, recall_or_compute
 
 F64 = NDArray[np.float64]
 
@@ -116,10 +116,9 @@ def cached_near_groups(
     """
     key = key_of(str(VERSION), *i, *j, *frames, lower, upper)
     if key not in _known:
-        stored = recall("near", key)
-        if stored is None:
-            stored = {"meeting": meeting_groups(i, j, frames, lower, upper)}
-            keep("near", key, **stored)
+        stored = recall_or_compute(
+            "near", key, lambda: {"meeting": meeting_groups(i, j, frames, lower, upper)}
+        )
         _known[key] = stored["meeting"]
     return _known[key]
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 
 from armcell.core import InputError
 from armcell.model.robot import EndEffector, Group, Joint, RobotModel
-from armcell.model.setup.cup_names import cup_links
 
 JAW = re.compile(r"grip|finger|jaw|claw|knuckle|thumb|pincer", re.IGNORECASE)
 TOOL = re.compile(r"tcp|tool|grasp|pinch|ee_link|ee_site|end_effector|attachment|gripper$", re.IGNORECASE)
+SUCTION = re.compile(r"suction|vacuum|sucker|bellow|(?<![a-z])cups?(?![a-z])", re.IGNORECASE)
+CUP = re.compile(r"sucker|bellow|(?<![a-z])cups?(?![a-z])", re.IGNORECASE)
 IDLE = {"arm", "joint"}  # words of joint names that do not tell one arm from another
 HAND_AFTER = 3  # minimum number of serial joints before a branch counts as fingers
 
@@ -232,11 +233,21 @@ def _fixed_hand(model: RobotModel, last: str) -> str | None:
     return None
 
 
+def cup_links(model: RobotModel, links: Sequence[str]) -> tuple[str, ...]:
+    """Return which of the given links are named like suction cups or, if none is, like a vacuum gripper.
+
+    Of links that carry each other, only the outermost ones are in the result.
+    """
+    solid = [n for n in links if model.links[n].collisions or model.links[n].visuals]
+    named = [n for n in solid if CUP.search(n)] or [n for n in solid if SUCTION.search(n)]
+    return tuple(n for n in named if not set(model.subtree(n)[1:]) & set(named))
+
+
 def _suction_hand(model: RobotModel, last: str, cups: Collection[str]) -> str | None:
     """Return the link of a suction gripper that is mounted on a detected arm chain, or None if no link behind
     the arm is a suction cup by name or in `cups`.
 
-    The link is the first link with geometry that carries all cups, or `last` if there is none.
+    The link is the first link with geometry that carries all cups, or else `last`.
     """
     rigid = _rigid_below(model, last)[1:]
     found = [n for n in rigid if n in cups] or list(cup_links(model, rigid))

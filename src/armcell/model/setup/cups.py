@@ -19,7 +19,7 @@ from armcell.model.assets import load_mesh
 from armcell.model.composition import with_frame
 from armcell.model.grippers import MAX_STROKE, SuctionCup, SuctionGripper
 from armcell.model.robot import EndEffector, Link, RobotModel
-from armcell.model.setup.cup_names import cup_links
+from armcell.model.setup.arm_detection import cup_links
 from armcell.model.setup.hand_geometry import GripperNotRecognizedError
 
 F64 = NDArray[np.float64]

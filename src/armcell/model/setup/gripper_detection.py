@@ -17,7 +17,7 @@ import numpy as np
 from armcell.core import InputError, UnknownNameError
 from armcell.model.composition import with_tip
 from armcell.model.robot import EndEffector, RobotModel
-from armcell.model.setup.cup_names import cup_links
+from armcell.model.setup.arm_detection import cup_links
 from armcell.model.setup.cups import with_suction_gripper
 from armcell.model.setup.hand_geometry import GripperNotRecognizedError, HandGeometry, driver_of
 from armcell.model.setup.jaws import find_jaws

@@ -19,8 +19,7 @@ from scipy.spatial import ConvexHull, QhullError
 from armcell.collision.convex_decomposition import convex_pieces
 from armcell.core import SE3, SO3, Format, Mesh, Shape, shape_kind, shape_name, simpler_parts
 from armcell.model import Inertial, Joint, Link, RobotModel
-from armcell.model.assets import DEFAULT_COLOR
-from armcell.sim.shapes import visual_parts
+from armcell.model.assets import DEFAULT_COLOR, visual_parts
 
 Array = NDArray[np.float64]
 MAX_HULL_POINTS = 128
