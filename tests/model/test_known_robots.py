@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from armcell.core import InputError
-from armcell.model import installed_robots, known_robot, load_robot, robot_names
+from armcell.model import assets, installed_robots, known_robot, load_robot, robot_names
 
 SHARED = Path(__file__).parents[3].joinpath("shared", "data", "robots").resolve()
 AWAY = sorted(set(robot_names()) - set(installed_robots()))
@@ -19,6 +19,15 @@ def test_a_robot_without_its_description_names_the_source(name):
     with pytest.raises(InputError, match=f"--package {robot.package}=FOLDER") as error:
         load_robot(name)
     assert robot.description.startswith("https://") and robot.description in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["panda", "dual_ur10"])
+def test_a_robot_whose_meshes_an_extra_installs_names_the_extra(name, monkeypatch):
+    monkeypatch.setattr(assets, "installed_share", list)
+    robot = known_robot(name)
+    assert robot.package == "example-robot-data" and "pip install 'armcell[robots]'" in robot.hint
+    with pytest.raises(InputError, match=r"pip install 'armcell\[robots\]'"):
+        load_robot(name)
 
 
 @pytest.mark.parametrize("name", AWAY)

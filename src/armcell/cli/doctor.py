@@ -25,11 +25,12 @@ from armcell.core import ArmcellError, InputError
 
 OK, NO, NOTE = "ok", "no", "note"
 NEEDED = (
-    "coal", "example-robot-data", "lxml", "matplotlib", "mcap", "mujoco", "networkx", "numba", "numpy",
+    "coal", "lxml", "matplotlib", "mcap", "mujoco", "networkx", "numba", "numpy",
     "ompl", "pillow", "pycollada", "pydantic", "pyyaml", "rich", "rosbags", "ruckig", "scipy", "trimesh",
     "typer", "viser",
 )  # fmt: skip
 EXTRAS = {
+    "robots": ("example-robot-data",),
     "vision": ("opencv-python-headless",),
     "ik": ("eaik",),
     "ros2": ("cyclonedds",),

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+EXTRAS = {"example-robot-data": "robots"}
+"""The extra of armcell that installs a package of robot descriptions, by package."""
 MAX_MESH_BYTES = 100_000_000
 MAX_PACKAGE_BYTES = 1_000_000  # size limit of a package.xml
 WORKSPACE_LEVELS = 3  # folders above a robot's package that can be the workspace with the other repositories
@@ -69,6 +71,11 @@ class FoundPackage:
     roots: tuple[Path, ...]
 
 
+def extra_hint(package: str) -> str:
+    """Return how to install a package of robot descriptions from PyPI."""
+    return f"{package} has the robot's meshes: pip install 'armcell[{EXTRAS[package]}]'"
+
+
 def search_folders() -> list[Path]:
     """Return the folders to search for robot assets:
     those in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and pip's folders.
@@ -107,6 +114,8 @@ def find_package(package: str, base: Path) -> FoundPackage:
         if searched and file.is_file():  # colcon --symlink-install links each file to its source package
             roots.append(file.resolve().parent)
         return FoundPackage(folder, tuple(dict.fromkeys(roots)))
+    if package in EXTRAS:
+        raise InputError(f"package {package!r} is not installed", hint=extra_hint(package))
     raise InputError(
         f"package {package!r} not found above {base}, in ROS_PACKAGE_PATH, AMENT_PREFIX_PATH or among the "
         "installed packages",
@@ -237,6 +246,8 @@ def resolve_uri(uri: str, base: Path) -> Path:
                 f"{uri} not found: package {package!r} is {incomplete}, but has no file {rest!r}",
                 hint=f"check the path, get the complete package, or pass --package {package}=FOLDER",
             )
+        if package in EXTRAS:
+            raise InputError(f"{uri} not found: the package is not installed", hint=extra_hint(package))
         raise InputError(
             f"{uri} not found above {base}, in ROS_PACKAGE_PATH, AMENT_PREFIX_PATH or among the installed "
             "packages",

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from armcell.core import SE3, InputError, UnknownNameError
-from armcell.model.assets import resolve_uri
+from armcell.model.assets import EXTRAS, extra_hint, resolve_uri
 from armcell.model.composition import MountedRobot, compose, with_frame
 from armcell.model.grippers import Gripper, SuctionCup, SuctionGripper
 from armcell.model.limits import with_joint_limits
@@ -58,7 +58,8 @@ class KnownRobot:
     Attributes:
         source: maker, model, and origin of the description with its license.
         description: web address of the maker's description, if no Python package ships it.
-        package: ROS package of that description that is missing on this machine, or None.
+        package: package with the description of the robot or of one of its parts, if the package is missing
+            on this machine, otherwise None.
     """
 
     name: str
@@ -68,10 +69,14 @@ class KnownRobot:
 
     @property
     def hint(self) -> str:
-        """Return a hint on how to install the ROS package that describes a robot.
+        """Return a hint on how to install the package that describes a robot.
         It is empty if the package is present.
         """
-        if self.package is None or not self.description:
+        if self.package is None:
+            return ""
+        if self.package in EXTRAS:
+            return extra_hint(self.package)
+        if not self.description:
             return ""
         return f"get {self.package} from {self.description} and pass --package {self.package}=FOLDER"
 
@@ -92,16 +97,20 @@ def known_robot(name: str) -> KnownRobot:
     """Return a robot's entry in armcell's library, by name. The robot model is not loaded."""
     folder = LIBRARY / name
     data = read_yaml(folder / ROBOT_FILE)
-    about = str(data.get("source", "")), str(data.get("description", ""))
+    package, description = None, str(data.get("description", ""))
     uri = str(data.get("urdf", data.get("mjcf", "")))
-    package = uri.removeprefix("package://").split("/")[0] if uri.startswith("package://") else None
-    if package is not None:
+    if uri.startswith("package://"):
         try:
             resolve_uri(uri, folder)
-            package = None
         except InputError:
-            pass
-    return KnownRobot(name, *about, package)
+            package = uri.removeprefix("package://").split("/")[0]
+    parts = [
+        known_robot(part["robot"]) for part in data.get("parts", []) if (LIBRARY / part["robot"]).is_dir()
+    ]
+    for part in parts:
+        if package is None and part.package is not None:
+            package, description = part.package, description or part.description
+    return KnownRobot(name, str(data.get("source", "")), description, package)
 
 
 def load_robot(
