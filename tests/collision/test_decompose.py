@@ -8,7 +8,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from armcell.collision import object_decomposition
-from armcell.collision.winding import winding_numbers
+from armcell.collision.winding import WindingNumbers
 from armcell.core import Mesh
 
 
@@ -86,7 +86,7 @@ def test_pieces_hold_the_mesh_and_little_more(name):
     pieces = object_decomposition.object_pieces(mesh_of(solid))
     assert abs(solid.volume) * 0.9999 < volume(pieces) < abs(solid.volume) * 1.1
     points = np.random.default_rng(1).uniform(solid.bounds[0], solid.bounds[1], (3000, 3))
-    inside = np.abs(winding_numbers(points, np.array(solid.vertices), np.array(solid.faces))) > 0.5
+    inside = np.abs(WindingNumbers(solid.vertices, solid.faces)(points)) > 0.5
     count = covered(pieces, points)
     assert inside.sum() > 100 and (count[inside] > 0).all() and (count <= 1).all()
 

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from tests.collision.test_decompose import bin_of, cup, mesh_of
 
-from armcell.collision.winding import winding_numbers
+from armcell.collision.winding import WindingNumbers
 from armcell.core import SE3, Box, Sphere
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene
@@ -47,14 +47,14 @@ def test_physics_and_the_exact_checker_agree_which_regions_are_solid():
     """A small ball at random places around a cup: who sees a contact deeper, or a gap wider, than 1 mm?"""
     radius, solid = 0.004, cup()
     world = _world(solid, False, Sphere(radius), 0.3)
-    vertices, faces = np.array(solid.vertices), np.array(solid.faces)
+    winding = WindingNumbers(solid.vertices, solid.faces)
     surface = trimesh.sample.sample_surface(solid, 100_000, seed=1)[0]  # about 0.7 mm apart
     rng, wrong, touching = np.random.default_rng(5), 0, 0
     for x, y, z in rng.uniform((-0.06, -0.06, 0.005), (0.06, 0.06, 0.12), (300, 3)):
         world.set_object_pose("item", SE3.from_xyz(AT[0] + x, AT[1] + y, z))
         contact = any({c.body_a, c.body_b} == {"item", "hollow"} for c in world.contacts())
         distance = float(np.linalg.norm(surface - (x, y, z), axis=1).min())
-        inside = winding_numbers(np.array([[x, y, z]]), vertices, faces)[0] > 0.5
+        inside = winding([[x, y, z]])[0] > 0.5
         gap = (-distance if inside else distance) - radius
         touching += contact
         wrong += (contact and gap > 1e-3) or (not contact and gap < -1e-3)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import coal
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell._array_store import key_of, recall_or_compute
-from armcell.collision.winding import winding_numbers
+from armcell.collision.winding import WindingNumbers
 from armcell.core import (
     Box,
     Capsule,
@@ -212,11 +212,16 @@ class CoalGeometry:
     primitives: PrimitiveSet | None = None
     closed: bool = True
 
+    @cached_property
+    def _winding(self) -> WindingNumbers:
+        assert self.hollow is not None
+        return WindingNumbers(self.hollow.vertices, self.hollow.faces)
+
     def holds(self, point: F64) -> bool:
         """Return whether a point (3,) [m, shape frame] is inside the nonconvex mesh of a coal geometry."""
         if self.hollow is None or np.any(np.abs(point - self.center) > self.half):
             return False
-        return bool(abs(winding_numbers(point[None], self.hollow.vertices, self.hollow.faces)[0]) > 0.5)
+        return bool(abs(self._winding(point[None])[0]) > 0.5)
 
 
 @lru_cache(maxsize=1024)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from armcell._array_store import key_of
 from armcell.collision.convex_decomposition import convex_hull_mesh, convex_pieces, cut_corners, stored_pieces
-from armcell.collision.winding import winding_numbers
+from armcell.collision.winding import WindingNumbers
 from armcell.core import Mesh, is_closed
 
 if TYPE_CHECKING:
@@ -109,14 +109,14 @@ class _Work:
     """Working state while a concave solid is decomposed: the solid itself and the remaining points."""
 
     def __init__(self, points: int, vertices: Array, faces: NDArray[np.int32]):
-        self.left, self._vertices, self._faces = points, vertices, faces
+        self.left, self._faces, self._winding = points, len(faces), WindingNumbers(vertices, faces)
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
         """Return a mask of the points (n, 3) that are inside the concave solid being decomposed."""
         if not len(points):
             return np.zeros(0, bool)
-        self.left -= len(points) * len(self._faces) // 10
-        return np.abs(winding_numbers(points, self._vertices, self._faces)) > 0.5
+        self.left -= len(points) * self._faces // 10
+        return np.abs(self._winding(points)) > 0.5
 
     def hull(self, points: Array) -> float:
         """Return the volume [m^3] of the convex hull of points (n, 3) on a piece of a concave solid.

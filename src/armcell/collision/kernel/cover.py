@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from armcell._array_store import key_of, recall_or_compute
 from armcell.collision.coal_shapes import triangle_model
-from armcell.collision.winding import winding_numbers
+from armcell.collision.winding import WindingNumbers
 from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
 
 F64 = NDArray[np.float64]
@@ -118,7 +118,7 @@ def outer_skin(vertices: F64, faces: NDArray[np.int64], edge: float) -> F64:
             solid = faces[part_of_face == other]
             low, high = vertices[solid].min(axis=(0, 1)), vertices[solid].max(axis=(0, 1))
             near = np.flatnonzero(~buried & np.all((points > low) & (points < high), axis=1))
-            buried[near] = winding_numbers(points[near], vertices, solid) > 0.5
+            buried[near] = WindingNumbers(vertices, solid)(points[near]) > 0.5
         kept.append(elements[~buried])
     return np.concatenate(kept)
 
@@ -149,7 +149,7 @@ def interior_points(vertices: F64, faces: NDArray[np.int64], spacing: float) -> 
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     if len(grid) == 0:
         return grid
-    return grid[winding_numbers(grid, vertices, faces) > 0.5]
+    return grid[WindingNumbers(vertices, faces)(grid) > 0.5]
 
 
 @dataclass(frozen=True, eq=False)
