@@ -23,9 +23,9 @@ def _both(act) -> tuple:
     found = []
     for compiled in (True, False):
         grasp = Grasping()
-        assert grasp.world._steps is not None and grasp.world._steps.possible
+        assert grasp.world._stepper.compiled is not None and grasp.world._stepper.compiled.possible
         if not compiled:
-            grasp.world._steps = None
+            grasp.world._stepper.compiled = None
         found.append((act(grasp), _state(grasp.world)))
     return tuple(found)
 

@@ -99,4 +99,4 @@ def test_the_place_of_the_option_in_memory_is_known():
     grasp = Grasping()
     world = grasp.world
     world.mj_model.opt.impratio = 42.0
-    assert world._holding.arrays[0].item() == 42.0
+    assert world._stepper.holding.arrays[0].item() == 42.0

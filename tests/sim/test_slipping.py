@@ -69,10 +69,10 @@ def test_between_both_coefficients_a_block_rests_until_it_is_pushed(panda, angle
 def test_a_sliding_block_stops_by_its_dynamic_coefficient_and_then_rests(panda):
     world = slope(panda, 0.0, Material(STATIC, dynamic_friction=DYNAMIC), push=1.0)
     world.step(50)  # the jolt is over
-    assert world._slip.get_state() == (True,)
+    assert world._stepper.slip.get_state() == (True,)
     start, speed = world.object_pose("block").translation[0], along(world)
     world.step(500)
-    assert world._slip.get_state() == (False,) and along(world) < 1e-3
+    assert world._stepper.slip.get_state() == (False,) and along(world) < 1e-3
     slid = start - world.object_pose("block").translation[0]
     assert slid == pytest.approx(speed**2 / (2 * DYNAMIC * G), rel=0.05)
 
@@ -98,7 +98,7 @@ def test_a_snapshot_brings_the_state_of_sliding_back(panda):
     world.step(200)
     first = world.object_pose("block").matrix
     world.reset()
-    assert world._slip.get_state() == (False,)
+    assert world._stepper.slip.get_state() == (False,)
     world.restore(kept)
     world.step(200)
     assert np.array_equal(world.object_pose("block").matrix, first)

@@ -128,13 +128,13 @@ def test_releasing_turns_the_vacuum_off():
 def test_compiled_and_python_steps_agree_and_a_snapshot_repeats():
     world, _ = held(PLATE, 1.0, (0.0, 0.0, G), seconds=0.1)
     before = world.snapshot()
-    assert world._steps is not None
+    assert world._stepper.compiled is not None
     world.step(50)
     compiled = world.object_pose("item")
     world.restore(before)
     world.step(50)
     assert world.object_pose("item").isclose(compiled, 0.0, 0.0)
     world.restore(before)
-    world._steps = None
+    world._stepper.compiled = None
     world.step(50)
     assert world.object_pose("item").isclose(compiled, 0.0, 0.0)

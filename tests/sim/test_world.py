@@ -239,7 +239,7 @@ def test_a_fixed_object_that_is_put_elsewhere_is_felt_there_until_a_reset():
     for compiled in (True, False):
         world = Grasping().world
         if not compiled:
-            world._steps = None
+            world._stepper.compiled = None
         start = world.object_pose("table")
         world.step(300)  # all that is far apart is not compared any more
         kept = world.snapshot()

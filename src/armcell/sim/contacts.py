@@ -215,10 +215,10 @@ class ContactMonitor:
             else:
                 self._found[pair] = replace(old, depth=max(old.depth, depth), count=old.count + 1)
 
-    def _get_state(self) -> tuple:
+    def get_state(self) -> tuple:
         return set(self._allowed), set(self._watched), dict(self._found)
 
-    def _set_state(self, state: tuple) -> None:
+    def set_state(self, state: tuple) -> None:
         allowed, watched, found = state
         self._allowed, self._watched, self._found = set(allowed), set(watched), dict(found)
         self._rule()

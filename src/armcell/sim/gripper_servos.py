@@ -73,7 +73,7 @@ class GripperDrive:
     """
 
     def __init__(self, index: GripperIndex, settings: PhysicsSettings, law: Array):
-        """Write the gripper servo's constants into `law` (7,), which `stepping.drive_fingers` reads."""
+        """Write the gripper servo's constants into `law` (7,), which `step_kernel.drive_fingers` reads."""
         self.index, self._law = index, law
         self._kp, kv = servo_gains(index.gripper, settings)
         scale = index.gripper.finger_travel_per_joint
@@ -127,7 +127,7 @@ class Fingers:
     """Servos of the fingers of all simulated grippers, with the arrays that the compiled stepper uses.
 
     Attributes:
-        law: (g, 7) one row per gripper for `stepping.drive_fingers`.
+        law: (g, 7) one row per gripper for `step_kernel.drive_fingers`.
         joints: (g, k) indices of the finger joints in qpos.
         weights: (g, k) weights of the finger joints in the tendon length.
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -20,34 +20,21 @@ from armcell.model import RobotModel
 from armcell.model.mjcf.spec import log_mujoco_warnings
 from armcell.scene import PlanningScene
 from armcell.sim.camera import Camera
-from armcell.sim.compiled_stepper import compiled_steps
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, hand_wrench, read_contacts
 from armcell.sim.decals import Decal
-from armcell.sim.friction import HeldObjectCorrection, SlidingFriction
-from armcell.sim.gripper_servos import (
-    Fingers,
-    GripperState,
-    Welder,
-    WeldEvent,
-    body_pose,
-    gripper_state,
-    relative_pose,
-)
+from armcell.sim.gripper_servos import GripperState, WeldEvent, body_pose, gripper_state, relative_pose
 from armcell.sim.model_pool import lease_model
 from armcell.sim.mujoco_model import BuiltModel, same_build, scene_objects
 from armcell.sim.objects import Array, FixedBodyPoses, Poses, write_free
-from armcell.sim.servo import ArmServo, JointTargets
+from armcell.sim.servo import JointTargets
 from armcell.sim.settings import PhysicsSettings
-from armcell.sim.suction import Suction
+from armcell.sim.stepping import Stepper
 
 log = logging.getLogger(__name__)
 
 BLOCKED = 1e5  # [Nm s/rad or N s/m] damping of a blocked joint: 300 Nm turn it at 0.2 deg/s
 CLOSED = "the simulation is closed: read its results inside the 'with' block"
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_DIVERGED = tuple(
-    int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +49,7 @@ class WorldSnapshot:
     physics: Array
     equalities: tuple[Array, Array]
     fixed: Poses
-    drives: tuple
-    servo: Array
-    slip: tuple
-    welder: tuple
-    holding: Array
-    suction: tuple
-    monitor: tuple
+    stepper: tuple
     watches: dict
 
 
@@ -120,18 +101,8 @@ class SimWorld:
         self._mj: mujoco.MjModel | None = self.built.mj
         self._fixed = FixedBodyPoses(self.mj_model)
         self._behind = False  # whether the body poses in `_data` are those before the last step
-        self._warned = self._data.warning.number.item  # reads the current warning counts when called
         self._tree = kinematic_tree(scene.model)
-        self._fingers = Fingers(self.built, self.settings)
-        self._drives = self._fingers.drives
-        self._servo = ArmServo(self.built, self.settings)
-        self._slip = SlidingFriction(self.built)
-        self._holding = HeldObjectCorrection(self.built, self.settings, self._data)
-        holders, self._owner = self._holding.arrays[3:5]
-        self._suction = Suction(self.built, self.settings.timestep, holders)
-        python = self.built.belts or self._slip or self.settings.grip_mode != "friction"
-        parts = self._fingers, self._holding, self._suction, self._servo
-        self._steps = None if python else compiled_steps(self.built, self._data, *parts)
+        self._stepper = Stepper(self.built, self.settings, self._data)
         self._driven = {j: n for n, g in self.built.grippers.items() for j in g.gripper.joint_names}
         self._columns: dict[tuple[str, ...], Any] = {}
         self.render_cache: Any = None  # used by render.py: copy of the scene with visual meshes
@@ -142,11 +113,8 @@ class SimWorld:
         Closing is optional, but lets the next world of such a scene reuse the memory.
         """
         with self.lock:
-            self._steps = None
             self._mj = None
-            self._data = self.built = cast(Any, _Closed())
-            self._fixed = self._fingers = self._drives = self._servo = cast(Any, _Closed())
-            self._slip = self._holding = self._suction = cast(Any, _Closed())
+            self._data = self.built = self._fixed = self._stepper = cast(Any, _Closed())
             self._behind = False
             self._lease.release()
 
@@ -172,15 +140,18 @@ class SimWorld:
                 self._build(scene)
         built, data = self.built, self.mj_data
         self._fixed.reset()
-        self._slip.reset()
         mujoco.mj_resetData(self.mj_model, data)
         self.rng = np.random.default_rng(self.seed)
-        self.monitor = ContactMonitor(built)
-        self._welder = Welder(built, self.settings, self._drives)
+        self._stepper.reset(built)
         self._watches: dict[str, tuple[str, SE3]] = {}
         for name, start in built.object_qpos.items():
             write_free(data, start, built.objects[name].T_world_object)
         self.set_positions(built.scene.positions)
+
+    @property
+    def monitor(self) -> ContactMonitor:
+        """Return the monitor of contacts, which records unwanted contacts at every physics step."""
+        return self._stepper.monitor
 
     @property
     def mj_model(self) -> mujoco.MjModel:
@@ -222,53 +193,14 @@ class SimWorld:
         """
         if not (isinstance(n, int | np.integer) and n < 2**31):
             raise InputError(f"the number of steps is {n!r}, it must be a whole number below 2^31")
-        data, look = self._data, self.monitor.update
         with self.lock:
-            if self._steps is not None and self._steps.possible:
-                self._steps.take(n, self.monitor)
-            else:
-                self._look_at_all(forget=False)
-                before, weld = self._before(), self._welder.update
-                for _ in range(n):
-                    for call in before:
-                        call(data)
-                    mujoco.mj_step(self.mj_model, data)
-                    self._holding.update(min(data.ncon, self.monitor.readable), self.monitor.pairs)
-                    look(data)
-                    if self._slip:
-                        self._slip.update(data)
-                    if self.settings.grip_mode != "friction":
-                        weld(data)
+            self._stepper.take(n)
             self._behind = True
         self.check()
 
-    def _look_at_all(self, forget: bool = True) -> None:
-        """Make the simulated world test all body pairs again, before steps that do not run in compiled code.
-
-        Args:
-            forget: also forget the last poses of hands that hold objects, because the state changes.
-        """
-        if forget:
-            self._holding.forget()
-        if self._steps is not None:
-            self._steps.forget()
-
-    def _before(self) -> list[Callable[[mujoco.MjData], None]]:
-        """Return the functions that the simulated world calls before each physics step."""
-        before = [self._fingers.update]
-        if self._suction:
-            before.append(self._draw_vacuum)
-        if self._servo.computed:
-            before.append(self._servo.update)
-        if self.built.belts:
-            before.append(self._run_belts)
-        return before
-
     def check(self) -> None:
         """Raise an ArmcellError if the simulated world has diverged (its state is not finite)."""
-        position, velocity, acceleration = _DIVERGED
-        if self._warned(position) or self._warned(velocity) or self._warned(acceleration):
-            raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
+        self._stepper.check()
 
     def follow(
         self, joint_names: Sequence[str], targets: JointTargets, until: float, tolerance: float
@@ -291,11 +223,13 @@ class SimWorld:
         _, controls, fingers, at = self._split(names)
         rows = targets.between(data.time, until)
         positions, velocities = rows[:, : len(names)], rows[:, len(names) :]
-        if self._steps is not None and self._steps.possible and not (fingers or self._servo.computed):
-            with self.lock:
-                used, errors = self._steps.follow(rows, targets.steps, tolerance, controls, at, self.monitor)
-                self._servo.command(data, controls, positions[used - 1], velocities[used - 1])
+        with self.lock:
+            followed = None if fingers else self._stepper.follow(rows, targets.steps, tolerance, controls, at)
+            if followed is not None:
+                used, errors = followed
+                self._stepper.servo.command(data, controls, positions[used - 1], velocities[used - 1])
                 self._behind = True
+        if followed is not None:
             self.check()
         else:
             errors = np.zeros(len(names))
@@ -307,18 +241,6 @@ class SimWorld:
                     break
         worst = int(errors.argmax())
         return errors.item(worst), worst
-
-    def _draw_vacuum(self, data: mujoco.MjData) -> None:
-        """Set the vacuum forces of all suction cups in the simulated world for the next physics step."""
-        count = min(data.ncon, self.monitor.readable)
-        self._suction.update(count, self.monitor.pairs, self._owner, data.ctrl)
-
-    def _run_belts(self, data: mujoco.MjData) -> None:
-        """Reset all conveyor belts in the simulated world: joint positions to zero,
-        and joint speeds to the belt speeds.
-        """
-        for position, velocity, speed in self.built.belts:
-            data.qpos[position], data.qvel[velocity] = 0.0, speed
 
     # --- robot ---
     def joint_state(self) -> JointState:
@@ -356,7 +278,7 @@ class SimWorld:
             raise InputError(f"target of joints {', '.join(names)} is not finite")
         if fingers:
             q, v, whole = q[arm], v[arm], q
-        self._servo.command(self._data, controls, q, v)
+        self._stepper.servo.command(self._data, controls, q, v)
         for column, gripper in fingers:
             index = self.built.grippers[gripper]
             self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
@@ -374,18 +296,18 @@ class SimWorld:
         _, controls, fingers, _ = self._split(names)
         if fingers:
             raise InputError("torques are for arm joints, not for gripper joints")
-        self._servo.apply(controls, float_array(torques, (len(names),), "torques"))
+        self._stepper.servo.apply(controls, float_array(torques, (len(names),), "torques"))
 
     def arm_target(self) -> JointState:
         """Return the last target positions and velocities of arm joints in the simulated world."""
-        names = tuple(self.robot.joint_names[c] for c in self._servo.columns)
-        return JointState(names, self._servo.target, self._servo.speed, time=self.time)
+        names = tuple(self.robot.joint_names[c] for c in self._stepper.servo.columns)
+        return JointState(names, self._stepper.servo.target, self._stepper.servo.speed, time=self.time)
 
     def _split(self, names: tuple[str, ...]) -> tuple:
         if names not in self._columns:
             columns = self.robot.columns(names)
             arm = [i for i, name in enumerate(names) if name not in self._driven]
-            controls = self._servo.controls([columns[i] for i in arm])
+            controls = self._stepper.servo.controls([columns[i] for i in arm])
             fingers = [(i, self._driven[n]) for i, n in enumerate(names) if n in self._driven]
             self._columns[names] = arm, controls, fingers, self.built.qpos[columns]
         return self._columns[names]
@@ -409,20 +331,20 @@ class SimWorld:
         force = index.max_force if force_per_finger is None else float(force_per_finger)
         if not (np.isfinite(width) and np.isfinite(force) and force > 0):
             raise InputError(f"gripper target of width {width} m and force {force} N is not possible")
-        if gripper not in self._drives:
-            self._suction.switch(gripper, width <= 0.0, self.mj_data)
+        if gripper not in self._stepper.fingers.drives:
+            self._stepper.suction.switch(gripper, width <= 0.0, self.mj_data)
             if width > 0.0:
-                self._welder.release(self.mj_data, gripper)
+                self._stepper.welder.release(self.mj_data, gripper)
             return
         present = index.gripper.width(index.length(self.mj_data.qpos))
         if width > present + 1e-4:
-            self._welder.release(self.mj_data, gripper)
-        self._drives[gripper].command(float(width), force)
+            self._stepper.welder.release(self.mj_data, gripper)
+        self._stepper.fingers.drives[gripper].command(float(width), force)
 
     def gripper_state(self, gripper: str) -> GripperState:
         """Return a gripper's width, finger force and held object in the simulated world."""
         self._gripper(gripper)
-        return gripper_state(self.built, self.mj_data, self._suction, gripper)
+        return gripper_state(self.built, self.mj_data, self._stepper.suction, gripper)
 
     def gripper_width(self, gripper: str) -> float:
         """Return a gripper's width [m] in the simulated world, like `gripper_state` but much faster."""
@@ -440,7 +362,7 @@ class SimWorld:
         """
         data, tcp = self.mj_data, self._gripper(gripper).tcp_body
         total = hand_wrench(self.built, data, gripper)
-        self._suction.add_pull(gripper, data, data.xpos[tcp], total)
+        self._stepper.suction.add_pull(gripper, data, data.xpos[tcp], total)
         return total
 
     def _gripper(self, name: str):
@@ -466,15 +388,15 @@ class SimWorld:
         for name, value in self._tree.full_positions(q).items():
             data.qpos[built.joint_qpos[name]] = value
             data.qvel[built.joint_dof[name]] = 0.0
-        self._servo.hold(data, q)
+        self._stepper.servo.hold(data, q)
         for name in built.grippers:
-            self._welder.release(data, name)
-            self._suction.switch(name, False, data)
-        for drive in self._drives.values():
+            self._stepper.welder.release(data, name)
+            self._stepper.suction.switch(name, False, data)
+        for drive in self._stepper.fingers.drives.values():
             joint = drive.index.gripper.joint_name
             drive.hold(data, float(data.qpos[built.joint_qpos[joint]]))
         data.qacc_warmstart[:] = 0.0
-        self._look_at_all()
+        self._stepper.forget()
         mujoco.mj_forward(self.mj_model, data)
 
     # --- objects ---
@@ -518,7 +440,7 @@ class SimWorld:
             else:
                 self._fixed.put(built.body[name], T_world_object)
             self.mj_data.qacc_warmstart[:] = 0.0
-            self._look_at_all()
+            self._stepper.forget()
             mujoco.mj_forward(self.mj_model, self.mj_data)
 
     def _object(self, name: str) -> None:
@@ -587,7 +509,7 @@ class SimWorld:
         self._gripper(gripper)
         if item not in self.built.object_qpos:
             raise UnknownNameError("movable object", item, self.built.object_qpos)
-        self._welder.fix(self.mj_data, gripper, item, "held by a real gripper")
+        self._stepper.welder.fix(self.mj_data, gripper, item, "held by a real gripper")
 
     # --- grip ---
     @property
@@ -596,7 +518,7 @@ class SimWorld:
 
         In grip mode "friction", only `fix_in_hand` adds welds.
         """
-        return tuple(self._welder.events)
+        return tuple(self._stepper.welder.events)
 
     def watch_slip(self, item: str, gripper: str) -> None:
         """Store the current pose of an object relative to a gripper in the simulated world, as the reference
@@ -632,13 +554,7 @@ class SimWorld:
             physics=physics,
             equalities=(self.mj_model.eq_data.copy(), self.mj_model.eq_solref.copy()),
             fixed=self._fixed.get_state(),
-            drives=tuple(drive.get_state() for drive in self._drives.values()),
-            servo=self._servo.get_state(),
-            slip=self._slip.get_state(),
-            welder=self._welder.get_state(),
-            holding=self._holding.get_state(),
-            suction=self._suction.get_state(),
-            monitor=self.monitor._get_state(),
+            stepper=self._stepper.get_state(),
             watches=dict(self._watches),
         )
 
@@ -656,16 +572,9 @@ class SimWorld:
         self.built = snapshot.built
         self.mj_model.eq_data[:], self.mj_model.eq_solref[:] = snapshot.equalities
         self._fixed.set_state(snapshot.fixed)
-        self._slip.set_state(snapshot.slip)
+        self._stepper.forget()
+        self._stepper.set_state(snapshot.stepper)
         mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)
-        self._look_at_all()
         mujoco.mj_forward(self.mj_model, self.mj_data)  # updates poses, contacts and forces for readers
         mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)  # restores the warm start
-        for drive, state in zip(self._drives.values(), snapshot.drives, strict=True):
-            drive.set_state(state)
-        self._servo.set_state(snapshot.servo)
-        self._welder.set_state(snapshot.welder)
-        self._holding.set_state(snapshot.holding)
-        self._suction.set_state(snapshot.suction)
-        self.monitor._set_state(snapshot.monitor)
         self._watches = dict(snapshot.watches)
