@@ -57,7 +57,7 @@ def cache_root() -> Path:
 
 @cache
 def _trusted_root(chosen: Path) -> Path:
-    if not writable(chosen) and not chosen.is_dir():
+    if not writable(chosen) and not os.path.isdir(chosen):
         return chosen  # nothing is cached
     reason = doubt(chosen)
     if reason is None:
@@ -197,7 +197,7 @@ def writable(folder: Path) -> bool:
 
 def make(folder: Path) -> None:
     """Create a cache folder and its missing parent folders; only this user has access to them."""
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         make(folder.parent)
         folder.mkdir(mode=0o700, exist_ok=True)
 

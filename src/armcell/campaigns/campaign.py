@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -44,7 +45,7 @@ def begin(spec: CampaignSpec, runs: Path) -> Store:
         raise InputError(
             "adaptive sampling needs parameters, to go where they fail", hint="--vary PATH=LOW,HIGH"
         )
-    if spec.cell not in cell_names() and (file := Path(spec.cell)).exists():
+    if spec.cell not in cell_names() and os.path.exists(file := Path(spec.cell)):
         spec = replace(spec, cell=str(file.resolve()))  # the printed commands must work in any folder
     cell = checked_cell(spec)
     announce_code(cell)  # announced here because workers do not log

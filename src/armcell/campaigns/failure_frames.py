@@ -6,6 +6,7 @@ Trials are deterministic, so a second run with the same seed fails in the same s
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -45,7 +46,7 @@ def take_pictures(store: Store, tell: Callable[[int, int], None] = lambda done, 
     for done, row in enumerate(wanted):
         tell(done, len(wanted))
         file = picture_file(store.folder, row["trial"])
-        if not file.exists() and (picture := failure_frame(cell, row)) is not None:
+        if not os.path.exists(file) and (picture := failure_frame(cell, row)) is not None:
             with suppress(OSError):  # `write_atomically` reports the error
                 file.parent.mkdir(exist_ok=True)
             write_atomically(file, html.picture_png(picture))

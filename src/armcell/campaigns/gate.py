@@ -188,7 +188,7 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
     """
     place = file or gate_file(cell)
     hint = f"armcell gate {_name(cell)}, or --without-gate REASON, which goes into the run's record"
-    if not place.is_file():
+    if not os.path.isfile(place):
         raise InputError(
             f"cell {cell.name!r} has not been shown to work in simulation: no gate record {place}", hint=hint
         )
@@ -256,7 +256,7 @@ def key_file() -> Path:
 def _key(make: bool) -> bytes:
     file = key_file()
     try:
-        if make and not file.exists():
+        if make and not os.path.exists(file):
             file.parent.mkdir(parents=True, exist_ok=True)
             handle = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
             with os.fdopen(handle, "w", encoding="ascii") as stream:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -127,7 +128,7 @@ def _markdown(data: dict[str, Any], folder: Path) -> str:
         ]
     for failure in data["failures"]:
         file = picture_file(folder, failure["trial"])
-        if file.exists():
+        if os.path.exists(file):
             words = f"trial {failure['trial']}, seed {failure['seed']}: {failure['code']}"
             lines += ["", f"![{words}]({file.relative_to(folder).as_posix()})", "", words]
     return "\n".join(lines) + "\n"
@@ -214,7 +215,7 @@ def _moments(data: dict[str, Any], folder: Path) -> str:
     figures = []
     for failure in data["failures"]:
         file, number = picture_file(folder, failure["trial"]), failure["trial"]
-        if file.exists():
+        if os.path.exists(file):
             words = f"trial {number}, seed {failure['seed']}: {failure['code']} {failure['message']}"
             shown = html.image(file.read_bytes(), f"trial {number}", "key-moment")
             figures.append(
@@ -250,5 +251,5 @@ def _linked(number: int, folder: Path) -> str:
     """Return an HTML snippet that shows a trial's number in a campaign report. If a picture of the trial
     exists, the snippet is a link to this picture.
     """
-    there = picture_file(folder, number).exists()
+    there = os.path.exists(picture_file(folder, number))
     return f'<a href="#trial_{number}">{number}</a>' if there else str(number)

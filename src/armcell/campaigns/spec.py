@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import permutations
@@ -105,7 +106,7 @@ class CampaignSpec:
         if not isinstance(data.get("cell"), str):
             raise InputError("has no cell", file=path, hint="cell: panda_pick")
         beside = path.parent / data["cell"]
-        if beside.exists():
+        if os.path.exists(beside):
             data["cell"] = str(beside)
         try:
             return CampaignSpec(**data)

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
@@ -192,7 +193,7 @@ class Cell:
             return self.file.parent / named
         model = self.spec.robot.model
         file = self.file.parent / model / "config" / name if isinstance(model, str) else None
-        return file if file is not None and file.is_file() else None
+        return file if file is not None and os.path.isfile(file) else None
 
     def _camera(self, name: str, spec: CameraSpec) -> Camera:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -81,7 +82,7 @@ def code_hash() -> str:
 
 def _script(cell: Cell) -> bytes:
     file = cell.file.parent / (cell.spec.script or "")
-    return file.read_bytes() if cell.spec.script is not None and file.is_file() else b""
+    return file.read_bytes() if cell.spec.script is not None and os.path.isfile(file) else b""
 
 
 def _without_addresses(real: dict[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 import zlib
 from collections.abc import Iterator, Sequence
@@ -105,7 +106,7 @@ def objects_of(
     Raises:
         InputError: the folder does not exist, contains no suitable file, or all files are skipped.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise InputError("is not a folder", file=folder)
     files = sorted(folder.rglob("*.urdf")) or sorted(
         f for f in folder.rglob("*") if f.suffix.lower() in MESH_SUFFIXES

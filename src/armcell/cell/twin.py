@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,7 +52,7 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
         InputError: the cell has changed since the thresholds were learned; the error names the changed parts.
     """
     file, bands = thresholds_file(cell), None
-    if watch and file.is_file():
+    if watch and os.path.isfile(file):
         bands = ResidualThresholds.load(file)
         now = twin_identity(cell)
         changed = [part for part in DECIDING if bands.identity.get(part) != now[part]]

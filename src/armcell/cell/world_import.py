@@ -58,7 +58,7 @@ def write_imported(
     Raises:
         InputError: the file exists (without `force`) or cannot be written, or the robot is invalid.
     """
-    if file.exists() and not force:
+    if os.path.exists(file) and not force:
         raise InputError("file exists", file=file, hint="add --force, or add the objects to it with --into")
     head = "" if robot is None else yaml.safe_dump({"robot": robot})
     _write_checked(file, lambda entries: head + objects_text(entries), objects, robot is not None)
@@ -72,9 +72,9 @@ def add_to_cell(objects: Sequence[CollisionObject], cell: str | Path) -> Path:
         InputError: the cell is built in or does not exist, or it already contains an object's name.
     """
     path = Path(cell)
-    file = path / CELL_FILE if path.is_dir() else path
-    if not file.is_file():
-        built_in = (LIBRARY / str(cell)).is_dir()
+    file = path / CELL_FILE if os.path.isdir(path) else path
+    if not os.path.isfile(file):
+        built_in = os.path.isdir(LIBRARY / str(cell))
         hint = "write a cell of your own with --robot MODEL -o FILE.yaml" if built_in else "check the path"
         raise InputError("is a built-in cell" if built_in else "file not found", file=file, hint=hint)
     loaded = load(file)
@@ -122,7 +122,7 @@ def _write_checked(file: Path, text_of, objects: Iterable[CollisionObject], is_c
     Raises:
         InputError: the file cannot be written or is invalid; new files are removed.
     """
-    before = set(file.parent.iterdir()) if file.parent.is_dir() else set()
+    before = set(file.parent.iterdir()) if os.path.isdir(file.parent) else set()
     trial = file.with_name(f".{file.stem}.{os.getpid()}.yaml")
     try:
         trial.write_text(text_of(object_entries(objects, file)), encoding="utf-8")

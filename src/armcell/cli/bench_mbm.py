@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -75,10 +76,10 @@ def find_robot(robot: str, problems: Path) -> str | Path:
     """
     beside = problems.parent / "robots" / robot
     path = Path(robot)
-    if not path.exists() and beside.is_dir():
+    if not os.path.exists(path) and os.path.isdir(beside):
         path = beside
-    if not path.is_dir() or (path / "robot.yaml").exists():
-        return path if path.exists() else robot
+    if not os.path.isdir(path) or os.path.exists(path / "robot.yaml"):
+        return path if os.path.exists(path) else robot
     urdfs = sorted(path.glob("*.urdf"))
     named = [urdf for urdf in urdfs if urdf.stem == path.resolve().name]
     if len(urdfs) == 1 or named:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -138,7 +139,7 @@ def _spec(cell: str, vary: list[str], set_: list[str], options: dict[str, Any]) 
     from armcell.model.untrusted_files import read_yaml
 
     path = Path(cell)
-    from_file = path.is_file() and "cell" in read_yaml(path) and "robot" not in read_yaml(path)
+    from_file = os.path.isfile(path) and "cell" in read_yaml(path) and "robot" not in read_yaml(path)
     spec = CampaignSpec.read(path) if from_file else CampaignSpec(cell)
     ranges: dict[str, Any] = {}
     for one in vary:

@@ -35,9 +35,9 @@ def check_writable(path: Path) -> None:
         InputError: the folder is missing or not writable, or the path is a folder.
     """
     folder = path.resolve().parent
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError("is a folder, a file name is needed", file=path)
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise InputError("folder does not exist", file=folder, hint=f"mkdir -p {folder}")
     try:  # os.access always returns True for root
         handle, trial = tempfile.mkstemp(dir=folder, prefix=f".{path.name}.")

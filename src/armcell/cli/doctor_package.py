@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,7 @@ def check_controller_names(config: MoveItConfig) -> Iterator[Finding]:
     package also occur in the controller manager's file.
     """
     for file in (config.folder / "config" / name for name in DRIVER_FILES):
-        if file.is_file() and file.name != config.names.get("controllers"):
+        if os.path.isfile(file) and file.name != config.names.get("controllers"):
             yield from _compared(config, file)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +144,7 @@ def _source(
         if T is None:
             raise InputError("a cloud does not say where it was seen from", hint="give --place X Y Z R P Y")
         return cloud_image(load_points(file), T, file.stem), None, (), {}, surface
-    if suffix == ".yaml" and file.exists() and "image_width" in file.read_text(errors="replace"):
+    if suffix == ".yaml" and os.path.exists(file) and "image_width" in file.read_text(errors="replace"):
         return load_image(file, T_world_camera=T), None, (), {}, surface
     return _cell(source, camera, seed, surface)
 

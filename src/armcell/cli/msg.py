@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import typer
@@ -18,7 +19,7 @@ def _schema(folder: Path | None):
 
     if folder is None:
         return schema()
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise InputError("is not a folder", file=folder)
     return Schema(folder)
 

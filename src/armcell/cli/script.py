@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
 import sys
 from collections.abc import Sequence
@@ -177,7 +178,7 @@ def run_script_command(
     if cell is None:
         raise InputError(f"no cell for {script}", hint="--cell CELL; `armcell cells` lists the built-in ones")
     file = Path(script)
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise InputError("there is no such script", file=file)
     if wires.plan_only:
         refused = {

@@ -6,6 +6,7 @@ It needs neither a GUI nor ROS. It asks about a gripper if the recognition is no
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -247,7 +248,7 @@ def setup(
 
     check_folder(output, force)
     facts = parse_gripper_facts(gripper)
-    if any(robot.is_dir() for robot in robots):
+    if any(os.path.isdir(robot) for robot in robots):
         if len(robots) > 1 or not is_moveit_config(robots[0]) or prefix or at or rpy_deg:
             raise typer.BadParameter("a MoveIt package (a folder with config/*.srdf) is set up by itself")
         if facts:

@@ -50,7 +50,7 @@ def installed_share() -> list[Path]:
     `example-robot-data`, for example, installs its files into `cmeel.prefix/share` of a `sys.path` entry.
     """
     found = [Path(entry) / "cmeel.prefix" / "share" for entry in sys.path if entry]
-    return [share for share in found if share.is_dir()]
+    return [share for share in found if os.path.isdir(share)]
 
 
 PACKAGE_FILE = "package.xml"
@@ -93,7 +93,7 @@ def package_above(path: Path) -> Path | None:
     """Return the ROS package folder that contains `path`, or None.
     A `package://` URI can refer to this folder.
     """
-    return next((folder for folder in path.parents if (folder / PACKAGE_FILE).is_file()), None)
+    return next((folder for folder in path.parents if os.path.isfile(folder / PACKAGE_FILE)), None)
 
 
 def find_package(package: str, base: Path) -> FoundPackage:
@@ -108,10 +108,10 @@ def find_package(package: str, base: Path) -> FoundPackage:
     """
     for folder, searched in _package_folders(package, base):
         file = folder / PACKAGE_FILE
-        if not folder.is_dir() or not (searched or file.is_file()):
+        if not os.path.isdir(folder) or not (searched or os.path.isfile(file)):
             continue
         roots = [folder.resolve()]
-        if searched and file.is_file():  # colcon --symlink-install links each file to its source package
+        if searched and os.path.isfile(file):  # colcon --symlink-install links files to their source package
             roots.append(file.resolve().parent)
         return FoundPackage(folder, tuple(dict.fromkeys(roots)))
     if package in EXTRAS:
@@ -189,7 +189,7 @@ def _crawled(folder: Path, depth: int, changed: int) -> dict[str, list[Path]]:
                 found.setdefault(name, []).append(each)
                 continue
             try:
-                below += sorted(e for e in each.iterdir() if not e.name.startswith(".") and e.is_dir())
+                below += sorted(e for e in each.iterdir() if not e.name.startswith(".") and os.path.isdir(e))
             except OSError:
                 continue
         seen += len(below)
@@ -268,7 +268,7 @@ def _checked(path: Path) -> Path:
         raise InputError(
             f"mesh format {path.suffix!r} is not read", file=path, hint="use STL, OBJ, DAE, PLY or GLB"
         )
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError("mesh file not found", file=path)
     if path.stat().st_size > MAX_MESH_BYTES:
         raise InputError(f"mesh is larger than {MAX_MESH_BYTES} bytes", file=path)

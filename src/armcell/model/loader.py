@@ -105,7 +105,7 @@ def known_robot(name: str) -> KnownRobot:
         except InputError:
             package = uri.removeprefix("package://").split("/")[0]
     parts = [
-        known_robot(part["robot"]) for part in data.get("parts", []) if (LIBRARY / part["robot"]).is_dir()
+        known_robot(part["robot"]) for part in data.get("parts", []) if os.path.isdir(LIBRARY / part["robot"])
     ]
     for part in parts:
         if package is None and part.package is not None:
@@ -152,10 +152,10 @@ def _load_file(path: Path, allow_env: bool | None, xacro_args: XacroArgs) -> Rob
     srdf = path.with_name(path.name.removesuffix(".xacro").removesuffix(path.suffix) + ".srdf")
     if is_mjcf(path):
         model = load_mjcf_file(path)
-        return with_srdf(model, srdf) if srdf.is_file() else with_keyframes(with_groups(model))
+        return with_srdf(model, srdf) if os.path.isfile(srdf) else with_keyframes(with_groups(model))
     srdf = path.with_name(path.name.removesuffix(".xacro").removesuffix(".urdf") + ".srdf")
     model = load_urdf(path, allow_env, xacro_args=xacro_args)
-    return with_srdf(model, srdf) if srdf.is_file() else with_adjacent_disabled(model)
+    return with_srdf(model, srdf) if os.path.isfile(srdf) else with_adjacent_disabled(model)
 
 
 def is_mjcf(path: Path) -> bool:
@@ -204,7 +204,7 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
     robot.yaml contains either a URDF or a list of parts that are mounted on each other.
     """
     file = folder / ROBOT_FILE
-    if not file.is_file() and is_moveit_config(folder):
+    if not os.path.isfile(file) and is_moveit_config(folder):
         return find_grippers(MoveItConfig.load(folder, allow_env=allow_env, xacro_args=xacro_args).model)
     data = read_yaml(file)
     for key in data:

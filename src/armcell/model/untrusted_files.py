@@ -79,10 +79,10 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
         InputError: the file is missing, a folder, larger than `limit` bytes or not UTF-8.
     """
     try:
-        if path.is_dir():
+        if os.path.isdir(path):
             raise InputError("is a folder, a file is needed", file=path)
         size = path.stat().st_size
-        if not path.is_file():
+        if not os.path.isfile(path):
             raise InputError("is no regular file", file=path)
         if size > limit:
             raise InputError(f"is larger than {limit} bytes", file=path)

@@ -6,6 +6,7 @@ Every error message names the file, line, element and hint.
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
@@ -175,7 +176,9 @@ class _Reader:
             return None
         package = package_above(self.file.resolve()) or self.folder
         name = self.file.name.encode()
-        files = (f for f in sorted(package.rglob("*.xacro")) if f.name != self.file.name and f.is_file())
+        files = (
+            f for f in sorted(package.rglob("*.xacro")) if f.name != self.file.name and os.path.isfile(f)
+        )
         users = [str(f.relative_to(package)) for f in islice(files, MAX_LISTED) if name in f.read_bytes()]
         callers = f"; {', '.join(users[:5])} include{'s' * (len(users) == 1)} it" if users else ""
         return f"the file only defines macros: give a file that calls them{callers}"

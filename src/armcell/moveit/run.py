@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import runpy
 import sys
 import traceback
@@ -44,7 +45,7 @@ def run_script(
     Raises:
         InputError: the script does not exist.
     """
-    if not script.is_file():
+    if not os.path.isfile(script):
         raise InputError("there is no such script", file=script)
     session = Session(live, rate, auto_grip, quiet, ros1, bus, names)
     argv, path, modules = sys.argv, list(sys.path), set(sys.modules)

@@ -8,6 +8,7 @@ bits, in millimeters). An image can also be loaded from a cloud.
 from __future__ import annotations
 
 import io
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -189,7 +190,9 @@ def load_image(
     camera = load_camera_info(file)
     if rgb is None and depth is None:
         base = file.with_suffix("")
-        rgb, depth = (p if p.exists() else None for p in (Path(f"{base}_rgb.png"), Path(f"{base}_depth.png")))
+        rgb, depth = (
+            p if os.path.exists(p) else None for p in (Path(f"{base}_rgb.png"), Path(f"{base}_depth.png"))
+        )
         if rgb is None and depth is None:
             raise InputError(f"no {base.name}_rgb.png and no {base.name}_depth.png beside it", file=file)
     data = read_yaml(file)

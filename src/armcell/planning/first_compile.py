@@ -118,7 +118,7 @@ def warm_up() -> float:
     """
     began = time.monotonic()
     compiled = Path(os.environ["NUMBA_CACHE_DIR"]) / "planner_compiled"
-    if compiled.exists():
+    if os.path.exists(compiled):
         _plan_small_problem()
         return time.monotonic() - began
     with progress_line("compiling the planner, once on this machine"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import json
+import os
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -108,12 +109,12 @@ def record_file(run: str | Path) -> Path:
         InputError: there is no record.
     """
     path = Path(run)
-    if path.is_file():
+    if os.path.isfile(path):
         return path
     for name in (MCAP_FILE, f"{MCAP_FILE}.part"):  # .part: the run was killed
-        if (path / name).is_file():
+        if os.path.isfile(path / name):
             return path / name
-    reason = f"has no {MCAP_FILE}" if path.is_dir() else "there is no such run"
+    reason = f"has no {MCAP_FILE}" if os.path.isdir(path) else "there is no such run"
     raise InputError(
         reason, file=path, hint="give a folder that `armcell run` made, such as runs/<time>-<cell>"
     )

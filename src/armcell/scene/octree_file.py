@@ -6,6 +6,7 @@ The reader accepts both formats, `.ot` with optional colors. The writer produces
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -95,8 +96,10 @@ def octree_from_bytes(
 def read_bytes(path: Path, limit: int) -> bytes:
     """Return the bytes of an octree file, which must be a regular file of at most `limit` bytes."""
     try:
-        if not path.is_file():
-            raise InputError("file not found" if not path.exists() else "is no regular file", file=path)
+        if not os.path.isfile(path):
+            raise InputError(
+                "file not found" if not os.path.exists(path) else "is no regular file", file=path
+            )
         if path.stat().st_size > limit:
             raise InputError(f"is larger than {limit} bytes", file=path)
         data = path.read_bytes()

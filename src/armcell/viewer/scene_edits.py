@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from armcell.cell import load_objects, save_objects
@@ -87,7 +88,7 @@ def save(scene: PlanningScene, file: str, folder: Path, ours: set[Path]) -> str:
         InputError: wrong suffix, a folder in the name, or the file exists and is not in `ours`.
     """
     path = _checked(file, folder)
-    if path.exists() and path not in ours:
+    if os.path.exists(path) and path not in ours:
         raise InputError("is there already and was not written here", file=path, hint="choose another name")
     objects = [scene.object(name) for name in (*scene.objects, *scene.attached)]
     left_out: list[str] = []
@@ -109,7 +110,7 @@ def with_loaded(scene: PlanningScene, file: str, folder: Path) -> PlanningScene:
         InputError: the file is invalid; the error names the file, the line or element, and the reason.
     """
     path = _checked(file, folder)
-    if not path.exists():
+    if not os.path.exists(path):
         raise InputError("no such file", file=path, hint=f"files are looked for in {folder}")
     for item in load_scene_file(path) if path.suffix == ".scene" else load_objects(path):
         scene = scene.with_object(item)

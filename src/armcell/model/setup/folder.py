@@ -21,12 +21,12 @@ def check_folder(folder: Path, force: bool = False) -> None:
         InputError: the folder is not empty (without `force`), is a file, has no parent folder, or its parent
             is not writable.
     """
-    if folder.exists() and not folder.is_dir():
+    if os.path.exists(folder) and not os.path.isdir(folder):
         raise InputError("is a file, a folder is needed", file=folder)
-    if folder.is_dir() and any(folder.iterdir()) and not force:
+    if os.path.isdir(folder) and any(folder.iterdir()) and not force:
         raise InputError("folder is there and not empty", file=folder, hint="name another, or add --force")
     parent = folder.resolve().parent
-    if not parent.is_dir():
+    if not os.path.isdir(parent):
         raise InputError("folder does not exist", file=parent, hint=f"mkdir -p {parent}")
     try:
         tempfile.TemporaryDirectory(dir=parent).cleanup()
@@ -51,19 +51,19 @@ def write_folder(folder: Path, files: Mapping[str, str], force: bool = False) ->
     made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:
         new, old = made / "new", made / "old"
-        if folder.is_dir():
+        if os.path.isdir(folder):
             shutil.copytree(folder, new, symlinks=True)
         new.mkdir(exist_ok=True)
         for name, text in files.items():
             file = new / name
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8")
-        if folder.is_dir():
+        if os.path.isdir(folder):
             os.rename(folder, old)
         try:
             os.rename(new, folder)
         except OSError:
-            if old.is_dir():
+            if os.path.isdir(old):
                 os.rename(old, folder)
             raise
     finally:

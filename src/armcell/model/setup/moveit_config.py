@@ -213,7 +213,7 @@ def is_moveit_config(folder: Path) -> bool:
     """Return whether a folder is a MoveIt configuration, which contains `config/*.srdf*` or
     `.setup_assistant`.
     """
-    return any((folder / "config").glob("*.srdf*")) or (folder / SETUP_FILE).is_file()
+    return any((folder / "config").glob("*.srdf*")) or os.path.isfile(folder / SETUP_FILE)
 
 
 def _controllers(data: Data) -> dict[str, dict[str, Any]]:
@@ -251,7 +251,7 @@ class _Reader:
     def read(self, urdf: Path | None) -> MoveItConfig:
         if not os.path.isdir(self.folder):
             raise InputError("no such folder", file=self.folder, hint="give a MoveIt configuration package")
-        if not self.config.is_dir():
+        if not os.path.isdir(self.config):
             raise InputError("has no folder config/", file=self.folder, hint="is this a MoveIt package?")
         setup = self.setup()
         urdf_file = urdf or self.urdf(setup)
@@ -266,7 +266,7 @@ class _Reader:
         }
         files: dict[str, Data] = {}
         for key, (choices, needed) in FILES.items():
-            file = next((self.config / c for c in choices if (self.config / c).is_file()), None)
+            file = next((self.config / c for c in choices if os.path.isfile(self.config / c)), None)
             if file is None:
                 if needed:
                     missing = self.config / choices[0]
@@ -289,7 +289,7 @@ class _Reader:
     # --- URDF and SRDF ---
     def setup(self) -> Data:
         file = self.folder / SETUP_FILE
-        if not file.is_file():
+        if not os.path.isfile(file):
             return {}
         data = read_yaml(file, ros=True).get("moveit_setup_assistant_config")
         return mapping_of(data, file, "moveit_setup_assistant_config")
@@ -302,7 +302,7 @@ class _Reader:
             package, path = entry.get("package") or "", entry.get("relative_path")
             if isinstance(path, str) and path:
                 inside = self.folder / path
-                if inside.is_file():
+                if os.path.isfile(inside):
                     return inside
                 if package:
                     try:
@@ -329,7 +329,7 @@ class _Reader:
         found = sorted(self.config.glob("*.srdf")) or sorted(self.config.glob("*.srdf.xacro"))
         if isinstance(entry, dict) and isinstance(entry.get("relative_path"), str):
             file = self.folder / entry["relative_path"]
-            if file.is_file():
+            if os.path.isfile(file):
                 return file
             if len(found) != 1:
                 raise InputError("file not found", file=file, hint=f"named by {SETUP_FILE}")

@@ -364,7 +364,7 @@ class _Expansion:
         optional = truth(source.get("optional") or "false")
         for each in found:
             real = self.files.checked(each)
-            if optional and not real.is_file():
+            if optional and not os.path.isfile(real):
                 continue
             if len(self.reading) > MAX_INCLUDES:
                 chain = " includes ".join(one.name for one in self.reading[-3:])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime
 import fnmatch
+import os
 from pathlib import Path
 from typing import Any
 
@@ -112,10 +113,10 @@ class RobotFiles:
             XacroError: see `checked`.
         """
         path = self.checked(path)
-        is_folder = path.is_dir()
-        if path.exists() and not is_folder:
+        is_folder = os.path.isdir(path)
+        if os.path.exists(path) and not is_folder:
             return path
-        folder = next(folder for folder in (path, *path.parents) if folder.is_dir())
+        folder = next(folder for folder in (path, *path.parents) if os.path.isdir(folder))
         try:
             entries = sorted(e.name for e in folder.iterdir() if not e.name.startswith("."))
         except OSError:
@@ -207,7 +208,7 @@ class RobotFiles:
             inner: list[Path] = []
             for folder in found:
                 try:
-                    entries = sorted(folder.iterdir()) if folder.is_dir() else []
+                    entries = sorted(folder.iterdir()) if os.path.isdir(folder) else []
                 except OSError:
                     continue
                 self.budget.charge(1 + len(entries))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -183,7 +184,7 @@ def package_source() -> Path:
         InputError: the folder contains no package.
     """
     folder = Path(__file__).parent / "package"
-    if not (folder / "package.json").is_file():
+    if not os.path.isfile(folder / "package.json"):
         raise InputError("is missing, armcell is not installed whole", file=folder, hint="install it again")
     return folder
 
@@ -201,7 +202,7 @@ def export_unity(
     """
     package, target = folder / "Packages" / PACKAGE, folder / "Assets" / "Armcell" / file_name(cell.name)
     try:
-        is_project = (folder / "ProjectSettings").is_dir()
+        is_project = os.path.isdir(folder / "ProjectSettings")
         copy_package(package, types)
         target.mkdir(parents=True, exist_ok=True)
         write_urdf(cell.model, target, URDF)

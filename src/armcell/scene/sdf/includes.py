@@ -97,12 +97,12 @@ class ResourceFinder:
         if os.path.isfile(path):
             return path
         config = path / CONFIG
-        if config.is_file():
+        if os.path.isfile(config):
             entries = children(parse_xml(read_text(config, MAX_CONFIG_BYTES), config), "sdf")
             entries.sort(key=lambda entry: _version(entry.get("version", "")))
             if entries and (entries[-1].text or "").strip():
                 return path / (entries[-1].text or "").strip()
-        if (path / MODEL).is_file():
+        if os.path.isfile(path / MODEL):
             return path / MODEL
         raise fail(asked_by, f"{path} has neither {CONFIG} nor {MODEL}", "is this a Gazebo model's folder?")
 
