@@ -166,6 +166,8 @@ def _explain_pick(loaded, scene, item: str) -> tuple[bool, dict[str, Any]]:
         table.add_row(
             grasp.name, "works" if grasp.name in works else reasons.get(grasp.name, "not looked at")
         )
+    for name in sorted(works.difference(grasp.name for grasp in grasps)):  # of an arm with few joints
+        table.add_row(name, "works")
     for rejection in rejected:
         table.add_row(rejection.name, rejection.reason)
     console.print(table)
