@@ -151,6 +151,29 @@ def test_a_gripper_that_is_none_states_the_reason(second, limits, reason, caplog
 FINGERS = ("finger_a", "finger_b", "finger_c")
 
 
+def test_jaws_that_would_overlap_at_the_limit_are_closed_where_they_touch():
+    """Rotating jaws whose limits are wider than their motion, as in the description of a Stretch."""
+    turning = '<origin xyz="0 {} 0.03"/><axis xyz="1 0 0"/>'
+    jaw = '<collision><origin xyz="0 0 0.05"/><geometry><box size="0.02 0.01 0.1"/></geometry></collision>'
+    parts = [
+        *ARM,
+        link("left", jaw),
+        link("right", jaw),
+        joint("left_finger", "l4", "left", "revolute", turning.format(0.02), LIMIT.format(-0.6, 0.6)),
+        joint(
+            "right_finger", "l4", "right", "revolute",
+            turning.format(-0.02) + '<mimic joint="left_finger" multiplier="-1"/>', LIMIT.format(-0.6, 0.6),
+        ),
+    ]  # fmt: skip
+    gripper = only(find_grippers(with_groups(model_of(*parts))))
+    touch = 0.15  # 0.1 sin(q) = 0.02 - 0.005 cos(q): the inner edges of the ends meet
+    assert gripper.joint_position(0.0) == pytest.approx(touch, abs=0.01)
+    assert gripper.joint_position(gripper.max_width) == pytest.approx(touch - np.deg2rad(40), abs=0.03)
+    assert gripper.max_width == pytest.approx(
+        2 * 0.1 * (np.sin(np.deg2rad(40) - touch) + np.sin(touch)), abs=0.01
+    )
+
+
 @pytest.mark.parametrize(("axis", "multiplier"), (("0 -1 0", 1.0), ("0 1 0", -1.0)))
 def test_a_follower_moves_its_jaw_toward_the_other(axis, multiplier):
     parts = jaw_parts(0.0, 0.03, f'<axis xyz="{axis}"/>')
