@@ -68,7 +68,7 @@ class _Family:
 
 
 def grasps_in_reach(
-    scene: PlanningScene, gripper: Gripper, item: CollisionObject, grasps: Sequence[Grasp],
+    scene: PlanningScene, gripper: Gripper, item: CollisionObject, grasps: Sequence[Grasp], enough: int,
     reject: Callable[[str, str], None],
 ) -> list[Grasp]:  # fmt: skip
     """Return the grasps that an arm with few joints reaches, best first. Collisions are not checked.
@@ -77,6 +77,8 @@ def grasps_in_reach(
     pitched about the closing axis, and that pass the checks of grasp candidates.
 
     Args:
+        grasps: grasp candidates, best first.
+        enough: number of reached grasps at which the search for replacements ends.
         reject: reports the name of a grasp that has no replacement, and the reason.
     """
     ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
@@ -87,10 +89,9 @@ def grasps_in_reach(
         solutions = ik.solutions(T_world_tcp, scene.positions, np.random.default_rng(0))
         (missed if next(solutions, None) is None else found).append(grasp)
     uses: Counter[str] = Counter()
-    families = _families(item, missed)
-    if _lacks_two(scene, gripper):
-        families += _families(item, grasps, [sign * p for p in PITCHES for sign in (1.0, -1.0)])
-    for family in families:
+    for family in _families(scene, gripper, item, grasps, missed):
+        if len(found) >= enough:
+            break
         reason = "out of reach, however the hand turns about the object"
         for other in _rotated_grasps(scene, gripper, item, family):
             if isinstance(other, Rejection):
@@ -112,23 +113,31 @@ def _lacks_two(scene: PlanningScene, gripper: Gripper) -> bool:
 
 
 def _families(
-    item: CollisionObject, grasps: Sequence[Grasp], pitches: Sequence[float] = (0.0,)
-) -> list[_Family]:
-    """Return the families of grasps among which an arm with few joints may choose, in the order of the pitch
-    angles [rad] of the hand.
+    scene: PlanningScene, gripper: Gripper, item: CollisionObject, grasps: Sequence[Grasp],
+    missed: Sequence[Grasp],
+) -> Iterator[_Family]:  # fmt: skip
+    """Yield the families of grasps among which an arm with few joints may choose: those of the missed grasps,
+    then, for an arm that may also pitch the hand, those of all grasps, by pitch angle.
     """
+    yield from _families_at(item, missed, 0.0)
+    for pitch in PITCHES if _lacks_two(scene, gripper) else ():
+        for sign in (1.0, -1.0):
+            yield from _families_at(item, grasps, sign * pitch)
+
+
+def _families_at(item: CollisionObject, grasps: Sequence[Grasp], pitch: float) -> list[_Family]:
+    """Return the families of grasps whose hand is pitched by an angle [rad]."""
     families: dict[bytes, _Family] = {}
-    for pitch in pitches:
-        lean = SE3(SO3.exp((0.0, pitch, 0.0)), np.zeros(3))
-        for grasp in grasps:
-            T_world_tcp = item.T_world_object @ grasp.T_object_tcp @ lean
-            for T_world_axis in _free_axes(item, T_world_tcp):
-                T_tcp_axis = T_world_tcp.inverse() @ T_world_axis
-                numbers = [T_tcp_axis.translation, T_tcp_axis.rotation.matrix[:, 2], T_world_axis.translation]
-                key = (np.concatenate(numbers).round(4) + 0.0).tobytes()
-                family = families.setdefault(key, _Family(T_world_axis, T_world_tcp, pitch, []))
-                turn = (T_world_tcp.rotation @ family.T_world_tcp.rotation.inverse()).log()
-                family.turns.append((grasp, float(turn @ T_world_axis.rotation.matrix[:, 2])))
+    lean = SE3(SO3.exp((0.0, pitch, 0.0)), np.zeros(3))
+    for grasp in grasps:
+        T_world_tcp = item.T_world_object @ grasp.T_object_tcp @ lean
+        for T_world_axis in _free_axes(item, T_world_tcp):
+            T_tcp_axis = T_world_tcp.inverse() @ T_world_axis
+            numbers = [T_tcp_axis.translation, T_tcp_axis.rotation.matrix[:, 2], T_world_axis.translation]
+            key = (np.concatenate(numbers).round(4) + 0.0).tobytes()
+            family = families.setdefault(key, _Family(T_world_axis, T_world_tcp, pitch, []))
+            turn = (T_world_tcp.rotation @ family.T_world_tcp.rotation.inverse()).log()
+            family.turns.append((grasp, float(turn @ T_world_axis.rotation.matrix[:, 2])))
     return list(families.values())
 
 

@@ -137,10 +137,10 @@ class ChooseGrasp:
         if why_not is not None:  # before the proofs, which take longest
             grasps = self._sifted(planning, grasps, why_not)
         if has_few_joints(solution.scene.model, self.gripper):
-            most = s.max_candidates * self.wider
             near = grasps_in_reach(
-                solution.scene, self.gripper, item, grasps[:most], partial(planning.reject, self.name)
-            )
+                solution.scene, self.gripper, item, grasps[: s.max_candidates * self.wider],
+                s.max_candidates, partial(planning.reject, self.name),
+            )  # fmt: skip
             grasps = [g for g in near if g.name not in self.excluded]
         proofs: dict[str, GraspProof] = {}
         if s.prove_grasps and grasps:
