@@ -130,10 +130,10 @@ def test_refuses_with_the_cure(capsys, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.urdf", "full", "small.urdf"]
 
 
-def jaws_robot(folder, second='<axis xyz="0 -1 0"/><mimic joint="left_finger"/>'):
+def jaws_robot(folder, second='<axis xyz="0 -1 0"/><mimic joint="left_finger"/>', lower=0.0):
     """An arm with two sliding jaws; `second` is the second jaw's <axis> and <mimic>."""
     file = folder / "jaws.urdf"
-    text = robot(*jaw_parts(0.0, 0.03, second))
+    text = robot(*jaw_parts(lower, 0.03, second))
     file.write_text(text.replace('<axis xyz="0 0 1"/>', '<origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>'))
     return file
 
@@ -157,6 +157,12 @@ def test_a_gripper_is_shown_as_numbers_and_as_a_picture(capsys, tmp_path):
     for color in (PAD, CLOSING, *AXES.values()):  # both views show every mark
         marked = np.abs(pixels - color).sum(2) < 30
         assert marked[:, :480].any() and marked[:, 480:].any()
+
+
+@pytest.mark.long
+def test_jaws_that_stop_apart_have_a_picture(capsys, tmp_path):
+    said = call(capsys, "setup", jaws_robot(tmp_path, lower=0.01), "-o", tmp_path / "cell", *QUICK)
+    assert "opening 20 to 60 mm" in said.words and f"picture: {tmp_path}/cell/gripper.png" in said.words
 
 
 def test_facts_that_the_meshes_contradict_write_nothing(capsys, tmp_path):

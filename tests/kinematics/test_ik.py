@@ -7,10 +7,19 @@ from itertools import islice
 
 import numpy as np
 import pytest
+from tests.kinematics.arms import arm
 from tests.model.helpers import MBM, dual, mbm_robot, random_positions
 
 from armcell.core import SE3, SO3, ErrorCode, InputError, UnknownNameError
-from armcell.kinematics import IKSettings, IKSolver, NumericIK, free_axis_angles, ik_solver, ik_solvers
+from armcell.kinematics import (
+    IKSettings,
+    IKSolver,
+    NumericIK,
+    ik_solver,
+    ik_solvers,
+    kinematic_tree,
+    poses_about_axis,
+)
 from armcell.model import load_robot
 
 POSES = 300
@@ -249,17 +258,45 @@ def test_five_joints_reach_a_pose_that_may_turn_about_an_axis():
         q[ik.columns] = random_positions(model, rng)[ik.columns]
         T_world_tip = ik.tree.link_pose(q, "wrist_2_link")
         goal = T_world_tip @ T_tip_axis @ about_z(-turn)
-        angles = list(
-            free_axis_angles(model, "five", "wrist_2_link", T_tip_axis, goal, model.default_positions())
+        poses = list(
+            poses_about_axis(model, "five", "wrist_2_link", T_tip_axis, goal, model.default_positions())
         )
-        for angle in angles:
-            target = goal @ about_z(angle) @ T_tip_axis.inverse()
+        for pose in poses:
+            target = goal @ about_z(pose.angle) @ T_tip_axis.inverse()
+            assert pose.T_world_tip.isclose(target, 1e-5, 1e-5)
             answer = ik.solve(target, model.default_positions())
             assert answer.ok, answer.message
             position, rotation = reached(ik, answer.positions, q).distance_to(target)
             assert position < 5e-5 and rotation < 5e-4
-        made += any(abs(np.sin((angle - turn) / 2)) < 1e-3 for angle in angles)
+        made += any(abs(np.sin((pose.angle - turn) / 2)) < 1e-3 for pose in poses)
     assert made >= 19
+
+
+@pytest.mark.parametrize("lean", (0.0, 0.02))
+def test_four_joints_reach_a_leaning_goal_with_a_tilt(lean):
+    """A planar arm on a turning base: the hand's y axis stays horizontal, the goal's does not."""
+    model = arm(
+        [(0.1, 0.0, np.pi / 2), (0.0, 0.3, 0.0), (0.0, 0.3, 0.0), (0.0, 0.1, -np.pi / 2)], "rrrr", limit=2.5
+    )
+    tree, rng, tilt = kinematic_tree(model), np.random.default_rng(0), 0.05
+    for _ in range(10):
+        T_world_tip = tree.link_pose(rng.uniform(-1.0, 1.0, 4), "tool")
+        T_world_axis = SE3(SO3.identity(), T_world_tip.translation)
+        T_tip_axis = (T_world_tip @ SE3(SO3.exp((lean, 0.0, 0.0)), np.zeros(3))).inverse() @ T_world_axis
+        exact, tilted = (
+            list(
+                poses_about_axis(
+                    model, "arm", "tool", T_tip_axis, T_world_axis, model.default_positions(), most
+                )
+            )
+            for most in (0.0, tilt)
+        )
+        assert bool(exact) == (lean == 0.0) and tilted
+        for pose in tilted:
+            assert ik_solver(model, "arm").solve(pose.T_world_tip, model.default_positions()).ok
+            T = T_world_axis.inverse() @ pose.T_world_tip @ T_tip_axis
+            assert np.linalg.norm(T.translation) < 1e-5
+            assert np.arccos(T.rotation.matrix[2, 2]) < 1.5 * tilt
 
 
 def about_z(angle: float) -> SE3:

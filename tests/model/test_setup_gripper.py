@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.model.helpers import collision, joint, link, model_of
+from tests.model.helpers import collision, joint, link, model_of, robot
 
 from armcell.cell.gripper_proof import prove_gripper
 from armcell.core import InputError, UnknownNameError
 from armcell.kinematics import kinematic_tree
-from armcell.model import Gripper, RobotModel, load_robot
+from armcell.model import Gripper, Mimic, RobotModel, load_robot, parse_urdf
 from armcell.model.setup import with_groups
+from armcell.model.setup.follower import with_follower_text
 from armcell.model.setup.gripper_detection import GripperSpec, find_grippers, reasons
 
 SHARED = Path(__file__).parents[3].joinpath("shared", "data", "robots").resolve()
@@ -148,6 +149,53 @@ def test_a_gripper_that_is_none_states_the_reason(second, limits, reason, caplog
 
 
 FINGERS = ("finger_a", "finger_b", "finger_c")
+
+
+def test_jaws_that_would_overlap_at_the_limit_are_closed_where_they_touch():
+    """Rotating jaws whose limits are wider than their motion, as in the description of a Stretch."""
+    turning = '<origin xyz="0 {} 0.03"/><axis xyz="1 0 0"/>'
+    jaw = '<collision><origin xyz="0 0 0.05"/><geometry><box size="0.02 0.01 0.1"/></geometry></collision>'
+    parts = [
+        *ARM,
+        link("left", jaw),
+        link("right", jaw),
+        joint("left_finger", "l4", "left", "revolute", turning.format(0.02), LIMIT.format(-0.6, 0.6)),
+        joint(
+            "right_finger", "l4", "right", "revolute",
+            turning.format(-0.02) + '<mimic joint="left_finger" multiplier="-1"/>', LIMIT.format(-0.6, 0.6),
+        ),
+    ]  # fmt: skip
+    gripper = only(find_grippers(with_groups(model_of(*parts))))
+    touch = 0.15  # 0.1 sin(q) = 0.02 - 0.005 cos(q): the inner edges of the ends meet
+    assert gripper.joint_position(0.0) == pytest.approx(touch, abs=0.01)
+    assert gripper.joint_position(gripper.max_width) == pytest.approx(touch - np.deg2rad(40), abs=0.03)
+    assert gripper.max_width == pytest.approx(
+        2 * 0.1 * (np.sin(np.deg2rad(40) - touch) + np.sin(touch)), abs=0.01
+    )
+
+
+@pytest.mark.parametrize(("axis", "multiplier"), (("0 -1 0", 1.0), ("0 1 0", -1.0)))
+def test_a_follower_moves_its_jaw_toward_the_other(axis, multiplier):
+    parts = jaw_parts(0.0, 0.03, f'<axis xyz="{axis}"/>')
+    text = with_follower_text(robot(*parts), model_of(*parts), "left_finger", "right_finger")
+    coupled = parse_urdf(text, Path("/tmp/r.urdf"))
+    assert coupled.joints["right_finger"].mimic == Mimic("left_finger", multiplier)
+    gripper = only(find_grippers(with_groups(coupled)))
+    assert gripper.joint_name == "left_finger" and set(gripper.finger_links) == {"left", "right"}
+
+
+def test_a_follower_must_be_another_driven_joint_of_a_jaw():
+    parts = jaw_parts(0.0, 0.03, '<axis xyz="0 -1 0"/>')
+    model, text = model_of(*parts), robot(*parts)
+    for drive, follower, reason in (
+        ("left_finger", "left_finger", "cannot follow itself"),
+        ("left_finger", "right", "unknown driven joint 'right'"),
+        ("left_finger", "j4", "j4 moves the link that left_finger moves"),
+    ):
+        with pytest.raises(InputError, match=reason):
+            with_follower_text(text, model, drive, follower)
+    with pytest.raises(InputError, match="follower needs drive"):
+        GripperSpec.parse("follower=right_finger")
 
 
 def three_fingers(spread: float = 120.0) -> RobotModel:

@@ -124,7 +124,7 @@ def gripper_picture(model: RobotModel, gripper: Gripper) -> Image.Image:
         return _view(alone, hand, gripper.max_width, points, gripper.summary)
     picture = Image.new("RGB", (2 * SIZE, SIZE))
     points = _points(alone, _positions(alone, gripper, gripper.max_width), gripper.tcp_link)
-    for column, width in enumerate((gripper.max_width, 0.0)):
+    for column, width in enumerate((gripper.max_width, hand.closed_width)):
         name = f"{'closed' if column else 'open'}: {1000 * width:.0f} mm"
         picture.paste(_view(alone, hand, width, points, name), (column * SIZE, 0))
     return picture

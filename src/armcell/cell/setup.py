@@ -27,6 +27,7 @@ from armcell.model.setup import (
     write_folder,
     yaml_text,
 )
+from armcell.model.setup.follower import with_follower_text
 from armcell.model.setup.gripper_detection import GripperSpec, find_grippers
 from armcell.model.urdf import load_urdf, parse_urdf
 from armcell.model.urdf_writer import urdf_of
@@ -95,6 +96,8 @@ def propose(
     tell("reading", 0)
     mjcf = _mjcf_file(parts)
     if mjcf is not None:
+        if any(fact.follower for fact in grippers):
+            raise InputError("follower: an MJCF file couples joints itself", hint="add a <joint> equality")
         model = load_mjcf_file(mjcf)
         model = replace(model, name=name or model.name)
         text = urdf_of(model)
@@ -103,6 +106,10 @@ def propose(
             load_urdf(file)  # names the faults with the lines of the vendor's file, not of the merged text
         name, text = merged_urdf(parts, name)
         model = parse_urdf(text, parts[0].file, warn=False)
+        for fact in grippers:
+            if fact.follower:
+                text = with_follower_text(text, model, fact.drive, fact.follower)
+                model = parse_urdf(text, parts[0].file, warn=False)
     tell("groups and poses", 0)
     groups = with_groups(
         model, [p.prefix for p in parts], {fact.drive for fact in grippers},

@@ -159,17 +159,18 @@ def _explain_pick(loaded, scene, item: str) -> tuple[bool, dict[str, Any]]:
     reasons = {r.name: r.reason for r in rejected}
     for _, candidate, reason in planning.rejections.details:
         reasons.setdefault(candidate, reason)
+    named = {grasp.name for grasp in grasps} | {rejection.name for rejection in rejected}
+    turned = sorted((works | reasons.keys()) - named - {""})  # copies of grasps, for an arm with few joints
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("grasp", "verdict"):
         table.add_column(title, overflow="fold")
-    for grasp in grasps:
-        table.add_row(
-            grasp.name, "works" if grasp.name in works else reasons.get(grasp.name, "not looked at")
-        )
+    default = "turned to the arm" if turned else "not looked at"
+    for name in (*(grasp.name for grasp in grasps), *turned):
+        table.add_row(name, "works" if name in works else reasons.get(name, default))
     for rejection in rejected:
         table.add_row(rejection.name, rejection.reason)
     console.print(table)
-    console.print(f"{len(works)} of {len(grasps) + len(rejected)} grasps of {item} have a free approach")
+    console.print(f"{len(works)} of {len(named) + len(turned)} grasps of {item} have a free approach")
     return bool(works), {
         "works": sorted(works),
         "rejected": {k: v for k, v in reasons.items() if k not in works},

@@ -38,6 +38,8 @@ HELP = """The option --gripper states what setup does not recognize, as KEY=VALU
 
   drive=JOINT            driven joint that moves the jaws
 
+  follower=JOINT         joint that follows the driven joint, if the URDF lacks a <mimic>
+
   fingers=LINK,LINK      links of both jaws (several per side: A,B+C)
 
   tcp=LINK               tool center: y closes, z points out of the hand

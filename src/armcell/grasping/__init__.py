@@ -7,6 +7,7 @@ from armcell.grasping.candidates import (
     generators,
     grasp_candidates,
     surface_coverage,
+    turned_grasp,
 )
 from armcell.grasping.grasp import (
     LIFT_ACCELERATION,
@@ -25,6 +26,7 @@ from armcell.grasping.placements import (
     FRICTION_MARGIN,
     RELEASE_GAP,
     Placement,
+    lowest_point,
     place_candidates,
     placement_axis,
     rotated_placement,
@@ -68,6 +70,7 @@ __all__ = [
     "grip_force",
     "hand_of",
     "hull_quality",
+    "lowest_point",
     "nearest_miss",
     "needed_force",
     "pair_friction",
@@ -85,5 +88,6 @@ __all__ = [
     "surface_of",
     "tilt_of",
     "top_down_grasps",
+    "turned_grasp",
     "why_none",
 ]

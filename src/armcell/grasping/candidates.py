@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 KEPT = 64  # cached sets of fitted candidates
 SOFT_PATCH = 1.5e-3  # [m] patch radius that scores half as much as a large patch
 EDGE = 1.7  # distance of a patch's edge, in radii of gyration
+SLIPS = 3  # number of checks that a grasp passes before the check for slipping
+ALIGNED = np.pi / 4  # [rad] angle up to which closing jaws turn a square back to its faces
 FAR_LEVER = 0.04  # [m] lever arm of the weight at which the score is halved
 MANY, GOOD = 100, 0.5  # candidates, and score of the best one, that end the sampling of an object's surface
 CONVERGED = 0.02  # gain of the best score by a batch of proposals below which sampling ends
@@ -109,6 +111,37 @@ def surface_coverage(
     up = item.T_world_object.rotation.matrix[2]
     fitted = _fitted(item, hand, generator or generator_for(item, hand.gripper), up, on_support)
     return 1.0 if isinstance(fitted, SuctionCandidates) else fitted.covered
+
+
+def turned_grasp(item: CollisionObject, hand: Hand, grasp: Grasp, name: str, T_object_tcp: SE3,
+                 angle: float) -> Grasp | Rejection:  # fmt: skip
+    """Check a grasp candidate at a TCP pose that is rotated from the candidate's own pose.
+
+    The checks are those of `grasp_candidates`. They may shift the pose, for example to center the hand. If
+    the pads touch the object only at slanted surfaces, closing jaws turn the object until it is as narrow as
+    in the candidate's own pose (Goldberg, "Orienting polygonal parts without sensors", 1993). The grasp then
+    holds like the candidate if the angle is at most `ALIGNED`.
+
+    Args:
+        name: name of the rotated grasp.
+        angle: [rad] rotation of the hand from the candidate's own pose.
+    Returns:
+        The grasp at the rotated pose, or the reason why it does not hold.
+    """
+    up = item.T_world_object.rotation.matrix[2]
+    center = hand.gripper.grip_center(grasp.width, grasp.opening)
+    proposals = Proposals([name], [(T_object_tcp @ center).matrix])
+    fitted = _fit(proposals, surface_of(item), hand, up, on_support=True)
+    if isinstance(fitted, SuctionCandidates):
+        found, rejected = evaluate_suction_grasps(item, hand, fitted, up)
+        return found[0] if found else rejected[0]
+    found, rejected = _judged(item, hand, fitted, up)
+    if found or rejected[0].passed != SLIPS or abs(angle) > ALIGNED:
+        return found[0] if found else rejected[0]
+    opening = float(fitted.measures[0, 1])
+    moved = SE3.from_matrix(fitted.poses[0]) @ hand.gripper.grip_center(grasp.width, opening).inverse()
+    score = grasp.score * (1 - abs(angle) / ALIGNED)
+    return replace(grasp, name=name, T_object_tcp=moved, opening=opening, score=score)
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +310,7 @@ def _judged(
         elif slanted > loads.friction:
             has, holds = np.degrees(np.arctan((slanted, loads.friction)))
             text = f"slips off: the surface is {has:.0f} deg slanted, friction holds {holds:.0f} deg"
-            rejected.append(Rejection(name, text, 3, float(np.radians(has - holds))))
+            rejected.append(Rejection(name, text, SLIPS, float(np.radians(has - holds))))
         elif least > gripper.max_force:
             beside = 1000 * float(loads.beside[i])
             text = f"needs {least:.0f} N per finger, {beside:.0f} mm beside the middle, the gripper has"

@@ -43,6 +43,11 @@ class Hand:
     )  # (c, 3) [m] centers of a suction gripper's rings
 
     @property
+    def closed_width(self) -> float:
+        """Return the gap [m] between the jaws of the closed hand."""
+        return self.thinnest - THINNEST
+
+    @property
     def boxes(self) -> Array:
         return np.concatenate([self.palm, self.left, self.right])
 

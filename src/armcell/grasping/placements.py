@@ -156,6 +156,15 @@ def rotated_placement(
     )
 
 
+def lowest_point(item: CollisionObject, T_world_object: SE3, placement: Placement) -> float:
+    """Return the height [m] of an object's lowest point above the support surface of a placement, along the
+    surface normal.
+    """
+    normal = np.array(placement.normal)
+    low, rest = ((T.apply(_corners(item)) @ normal).min() for T in (T_world_object, placement.T_world_object))
+    return float(low - rest)
+
+
 def placement_axis(item: CollisionObject, placement: Placement) -> SE3:
     """Return T_world_axis of a placement: a frame at the placed object's center whose z axis is the normal of
     the support surface.

@@ -7,9 +7,10 @@ from armcell.kinematics.ik import (
     IKSettings,
     IKSolver,
     NumericIK,
-    free_axis_angles,
+    TurnedPose,
     ik_solver,
     ik_solvers,
+    poses_about_axis,
 )
 from armcell.kinematics.tree import KinematicTree, kinematic_tree
 
@@ -21,8 +22,9 @@ __all__ = [
     "InverseDynamics",
     "KinematicTree",
     "NumericIK",
-    "free_axis_angles",
+    "TurnedPose",
     "ik_solver",
     "ik_solvers",
     "kinematic_tree",
+    "poses_about_axis",
 ]

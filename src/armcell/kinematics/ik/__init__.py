@@ -6,7 +6,7 @@ from functools import lru_cache
 
 from armcell.core import InputError
 from armcell.kinematics.ik.analytic import AnalyticIK
-from armcell.kinematics.ik.numeric import NumericIK, free_axis_angles
+from armcell.kinematics.ik.numeric import NumericIK, TurnedPose, poses_about_axis
 from armcell.kinematics.ik.solver import POSE_JOINTS, IKSettings, IKSolver, ik_solvers
 from armcell.model import RobotModel
 
@@ -49,7 +49,8 @@ __all__ = [
     "IKSettings",
     "IKSolver",
     "NumericIK",
-    "free_axis_angles",
+    "TurnedPose",
     "ik_solver",
     "ik_solvers",
+    "poses_about_axis",
 ]

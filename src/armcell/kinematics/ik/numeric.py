@@ -7,7 +7,7 @@ with fewer than six joints.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -22,7 +22,7 @@ from armcell.kinematics.ik.descent import PATIENCE, approach_in_null_space, desc
 from armcell.kinematics.ik.full_turns import nearest_turns
 from armcell.kinematics.ik.seeds import rank, sampling_range, take_nearest
 from armcell.kinematics.ik.solver import POSE_JOINTS, ChainData, IKSettings, IKSolver, ik_solvers
-from armcell.model import Joint, Link, RobotModel
+from armcell.model import Joint, JointLimits, Link, RobotModel
 
 DISTINCT = 1e-2  # [rad or m] in any joint
 Array = NDArray[np.float64]
@@ -32,6 +32,7 @@ POLISH = 12  # iterations that bring an arm with fewer than six joints as near t
 BARREN = 32  # if a solution exists, the search ends after this many seeds without a new one
 SOLUTIONS = 16  # of the arm, among which distinct angles are searched
 APART = 1e-3  # [rad] distinct angles
+STRAIGHTEN = 24  # steps that reduce the tilt of a solution
 
 
 def ik_problem(
@@ -162,6 +163,16 @@ class NumericIK(IKSolver):
         )
         return nearer
 
+    def nearer(self, q: Array, T_world_tip: SE3, wanted: Array, reference: Array) -> Array:
+        """Return a numeric IK solution (n,) for the same tip pose as the solution q (n,) that is closer to
+        the wanted positions (n,), if the chain is redundant.
+
+        Args:
+            reference: positions (dof,) of all joints; joints outside the group stay at these positions.
+        """
+        prepared, goal, _ = self._question(T_world_tip, reference)
+        return self._nearer(prepared, goal, wanted, q)
+
     def _seeds(self, prepared: ChainData, goal: Array, reference: Array, rng: np.random.Generator | None):
         """Yield batches (k, n) of start configurations (seeds) for numeric IK, with a score for each seed
         (lower is better) and the number of seeds to try.
@@ -181,18 +192,29 @@ class NumericIK(IKSolver):
             yield rng.uniform(low, high, (rest, len(low))), np.arange(rest, dtype=np.float32), rest
 
 
-def free_axis_angles(
-    model: RobotModel, group: str, tip_link: str, T_tip_axis: SE3, T_world_axis: SE3, reference: ArrayLike
-) -> Iterator[float]:
-    """Solve the inverse kinematics of a goal that may rotate freely about one axis: yield the rotation angles
-    [rad] at which the arm reaches the goal.
+@dataclass(frozen=True, eq=False)
+class TurnedPose:
+    """Tip pose T_world_tip that an arm reaches, and its rotation about a free axis [rad] from a goal pose."""
+
+    angle: float
+    T_world_tip: SE3
+
+
+def poses_about_axis(
+    model: RobotModel, group: str, tip_link: str, T_tip_axis: SE3, T_world_axis: SE3, reference: ArrayLike,
+    tilt: float = 0.0,
+) -> Iterator[TurnedPose]:  # fmt: skip
+    """Solve the inverse kinematics of a goal that may rotate freely about one axis: yield reachable tip poses
+    with distinct angles about the axis.
 
     The z axis of the frame `axis` is the axis of rotation. The tip reaches the pose
-    `T_world_axis @ Rz(angle) @ inverse(T_tip_axis)` within the joint limits. A continuous joint about the
-    axis extends the chain, so that an arm with five joints has a finite number of solutions.
+    `T_world_axis @ Rz(angle) @ tilt @ inverse(T_tip_axis)` within the joint limits. A continuous joint about
+    the axis extends the chain, so that an arm with five joints has a finite number of solutions. An arm with
+    fewer joints reaches a measured pose only with a small tilt about the frame's x and y axes.
 
     Args:
         reference: positions (dof,) of all joints of the model.
+        tilt: [rad] maximum rotation about each of the frame's x and y axes; the solutions have little tilt.
     Raises:
         UnknownNameError: no such group or link.
         InputError: an axis is not a pose, or the reference is not (dof,) finite numbers.
@@ -201,19 +223,33 @@ def free_axis_angles(
     if tip_link not in model.links:
         raise UnknownNameError("link", tip_link, model.links)
     require(isinstance(T_tip_axis, SE3) and isinstance(T_world_axis, SE3), "the axes must be poses (SE3)")
-    start = np.append(float_array(reference, (model.dof,), "reference"), 0.0)
-    spin = Joint(f"{tip_link}/spin", "continuous", tip_link, f"{tip_link}/axis", T_tip_axis, axis=(0, 0, 1))
-    names = (*arm.joint_names, spin.name)
+    bounds = JointLimits(-tilt, tilt)
+    added, parent, T = [], tip_link, T_tip_axis
+    for kind, axis in (("tilt_x", (1, 0, 0)), ("tilt_y", (0, 1, 0))) if tilt > 0.0 else ():
+        added.append(Joint(f"{tip_link}/{kind}", "revolute", parent, f"{tip_link}/{kind}", T, axis, bounds))
+        parent, T = added[-1].child, SE3.identity()
+    added.append(Joint(f"{tip_link}/spin", "continuous", parent, f"{tip_link}/axis", T, (0, 0, 1)))
     extended = replace(
         model,
-        links={**model.links, spin.child: Link(spin.child)},
-        joints={**model.joints, spin.name: spin},
-        groups={**model.groups, group: replace(arm, joint_names=names, tip_link=spin.child)},
+        links={**model.links, **{joint.child: Link(joint.child) for joint in added}},
+        joints={**model.joints, **{joint.name: joint for joint in added}},
+        groups={
+            **model.groups,
+            group: replace(
+                arm, joint_names=(*arm.joint_names, *(j.name for j in added)), tip_link=added[-1].child
+            ),
+        },
     )
-    solver = NumericIK(extended, group, spin.child)
+    start = np.append(float_array(reference, (model.dof,), "reference"), np.zeros(len(added)))
+    solver, apart = NumericIK(extended, group, added[-1].child), max(APART, 2 * tilt)
     found: list[float] = []
     for q in islice(solver.solutions(T_world_axis, start, np.random.default_rng(0)), SOLUTIONS):
+        if tilt > 0.0:
+            for _ in range(STRAIGHTEN):  # each step also keeps the arm near its positions
+                upright = np.concatenate([q[: -len(added)], np.zeros(len(added) - 1), q[-1:]])
+                q = solver.nearer(q, T_world_axis, upright, start)
         angle = -float(q[-1])
-        if all(abs(np.sin((angle - other) / 2)) > APART / 2 for other in found):
+        if all(abs(np.sin((angle - other) / 2)) > apart / 2 for other in found):
             found.append(angle)
-            yield angle
+            start[solver.columns] = q
+            yield TurnedPose(angle, solver.tree.link_pose(start, tip_link))

@@ -25,9 +25,12 @@ from armcell.model.setup.pads import with_measured_gripper
 
 logger = logging.getLogger(__name__)
 
-KEYS = ("end", "drive", "fingers", "tcp", "closes", "cups")
+KEYS = ("end", "drive", "follower", "fingers", "tcp", "closes", "cups")
 SUCTION = "suction"
-FORMAT = "drive=JOINT fingers=LINK,LINK tcp=LINK closes=lower|upper; or suction cups=LINK,LINK tcp=LINK"
+FORMAT = (
+    "drive=JOINT follower=JOINT fingers=LINK,LINK tcp=LINK closes=lower|upper; "
+    "or suction cups=LINK,LINK tcp=LINK"
+)
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class GripperSpec:
     Attributes:
         end: end effector; empty: the only one without a gripper.
         drive: driven joint; empty: the only driven joint of the end effector.
+        follower: driven joint that setup couples to `drive`, because the URDF lacks a <mimic>; empty: none.
         fingers: links of the jaws on both sides; empty: recognized.
         tcp: link of the tool center, y in the closing direction, z out of the hand; empty: recognized.
         closes: limit of the driven joint at which the jaws are closed, "lower" or "upper"; empty: recognized.
@@ -47,6 +51,7 @@ class GripperSpec:
 
     end: str = ""
     drive: str = ""
+    follower: str = ""
     fingers: tuple[tuple[str, ...], ...] = ()
     tcp: str = ""
     closes: str = ""
@@ -81,7 +86,11 @@ class GripperSpec:
             )
         cups = tuple(filter(None, values.pop("cups", "").split(",")))
         suction = bool(cups) or SUCTION in words
-        if suction and (wrong := sorted({"drive", "closes"} & set(values)) + ["fingers"] * bool(fingers)):
+        if "follower" in values and "drive" not in values:
+            raise InputError(f"--gripper {text!r}: follower needs drive=JOINT, the joint that it follows")
+        if suction and (
+            wrong := sorted({"drive", "follower", "closes"} & set(values)) + ["fingers"] * bool(fingers)
+        ):
             raise InputError(f"--gripper {text!r}: a suction gripper has no {', '.join(wrong)}", hint=FORMAT)
         return cls(fingers=fingers, suction=suction, cups=cups, **values)
 
@@ -184,7 +193,10 @@ def _with_gripper(model: RobotModel, end: EndEffector, fact: GripperSpec) -> Rob
     if len(found) == 1:
         return found[0]
     names = ", ".join(driven) or "fixed jaws"
-    hint = 'add <mimic joint="..."/> in the URDF to the joints that follow another joint'
+    hint = (
+        "pass --gripper with drive=JOINT follower=JOINT to couple two joints, or add "
+        '<mimic joint="..."/> in the URDF to the joints that follow another joint'
+    )
     if found:
         names, hint = ", ".join(m.grippers[end.name].joint_name for m in found), "pass --gripper drive=JOINT"
     raise GripperNotRecognizedError(

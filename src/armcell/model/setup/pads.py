@@ -15,6 +15,8 @@ from armcell.model.setup.jaws import LONGEST_PAD, WIDEST_TURN, Jaws
 
 Array = NDArray[np.float64]
 
+DEEP = 0.01  # [m] overlap of jaws at the closed limit from which on the limit is not the closed position
+BISECTIONS = 12  # of the joint's range, to find the position at which jaws touch
 NARROW = 0.002  # [m] a smaller opening is not a gripper's
 STEPS = 33  # positions of the driven joint at which the opening is measured
 LARGER = 3  # ratio of the areas from which on a flat surface is the pad, not a ridge
@@ -37,6 +39,7 @@ def with_measured_gripper(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool
         GripperNotRecognizedError: the jaws have no facing pads, they do not open, or `tool` is not
             between them.
     """
+    jaws = _touching(hand, jaws)
     model, axes = hand.model, jaws.axes
     single = jaws.single
     at = jaws.closed
@@ -104,6 +107,23 @@ def with_measured_gripper(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool
         pad=tuple(round(float(v), 6) for v in corners),
     )
     return replace(model, grippers={**model.grippers, end.name: gripper})
+
+
+def _touching(hand: HandGeometry, jaws: Jaws) -> Jaws:
+    """Return the jaws of a gripper with the closed position at which they touch first, if they overlap deeply
+    at the limit of the driven joint. The joint then stops before its limit.
+    """
+
+    def gap(q: float) -> float:
+        return hand.gap(jaws.plus, jaws.minus, jaws.axes, q)[0]
+
+    inside, outside = jaws.closed, jaws.opened
+    if not gap(inside) < -DEEP or not gap(outside) > 0:
+        return jaws
+    for _ in range(BISECTIONS):
+        middle = (inside + outside) / 2
+        inside, outside = (middle, outside) if gap(middle) < 0 else (inside, middle)
+    return replace(jaws, closed=outside)
 
 
 def _pad_cells(cells: Array, gaps: Array, tip: float, flat: float) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.grasp_proof import GraspProof, distinct_grasps, prove_grasps
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
+from armcell.tasks.stages.few_joints import grasps_in_reach, has_few_joints
 from armcell.tasks.stages.moves import plan_straight, shifted
 from armcell.tasks.steps import CommandGripper, ConfirmGrasp, ExpectContact, Motion, WatchObject
 from armcell.tasks.task import holding_condition
@@ -134,6 +136,12 @@ class ChooseGrasp:
         why_not = self.grasp_filter(solution.scene) if self.grasp_filter is not None else None
         if why_not is not None:  # before the proofs, which take longest
             grasps = self._sifted(planning, grasps, why_not)
+        if has_few_joints(solution.scene.model, self.gripper):
+            near = grasps_in_reach(
+                solution.scene, self.gripper, item, grasps[: s.max_candidates * self.wider],
+                s.max_candidates, partial(planning.reject, self.name),
+            )  # fmt: skip
+            grasps = [g for g in near if g.name not in self.excluded]
         proofs: dict[str, GraspProof] = {}
         if s.prove_grasps and grasps:
             grasps, proofs = self._proven(solution, planning, item, grasps)

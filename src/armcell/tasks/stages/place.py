@@ -17,15 +17,13 @@ from armcell.grasping import (
     Placement,
     hand_of,
     place_candidates,
-    placement_axis,
-    rotated_placement,
     support_surface,
 )
-from armcell.kinematics import POSE_JOINTS, free_axis_angles
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
+from armcell.tasks.stages.few_joints import TILT, has_few_joints, placements_in_reach
 from armcell.tasks.stages.grasp import finger_state, reachable
 from armcell.tasks.stages.moves import plan_straight
 from armcell.tasks.steps import (
@@ -81,32 +79,29 @@ class ChoosePlacement:
         candidates = self._candidates(scene)
         if not candidates:
             planning.reject(self.name, self.object, NO_SIDE)
-        few = len(scene.model.group(self.gripper.arm_group).joint_names) < POSE_JOINTS and not self.among
         for placement in candidates[: planning.settings.max_candidates]:
             reached = False
             for reaching in self._descents(solution, planning, placement):
                 reached = True
                 yield reaching
-            if few and not reached:
-                for other in self._turned(scene, placement):
-                    yield from self._descents(solution, planning, other)
+            if not reached and has_few_joints(scene.model, self.gripper):
+                yield from self._turned(solution, planning, placement)
 
-    def _turned(self, scene: PlanningScene, placement: Placement) -> Iterator[Placement]:
-        """Yield copies of a placement, each rotated about the surface normal to an angle that the arm can
-        reach. An arm with few joints reaches only a few angles.
-
-        Jaws that rotate as they close hold an object at an angle to the tool, so such an arm reaches the
-        placement at few angles only.
+    def _turned(
+        self, solution: PartialSolution, planning: SearchState, placement: Placement
+    ) -> Iterator[PartialSolution]:
+        """Yield solutions with a descent to a placement that is turned to a pose in the reach of an arm with
+        few joints. A given placement turns by at most `TILT`.
         """
-        item, support, tcp = scene.object(self.object), scene.object(self.support), self.gripper.tcp_link
-        T_tcp_object = scene.frame_pose(tcp).inverse() @ scene.frame_pose(self.object)
-        T_world_axis = placement_axis(item, placement)
-        T_tcp_axis = T_tcp_object @ placement.T_world_object.inverse() @ T_world_axis
-        up = SE3(T_world_axis.rotation, T_world_axis.translation + RELEASE_GAP * np.array(placement.normal))
-        angles = free_axis_angles(scene.model, self.gripper.arm_group, tcp, T_tcp_axis, up, scene.positions)
-        for angle in angles:
-            if (other := rotated_placement(item, support, placement, angle)) is not None:
-                yield other
+        scene = solution.scene
+        item, support = scene.object(self.object), scene.object(self.support)
+        for other, released, angle in placements_in_reach(scene, self.gripper, item, support, placement):
+            if self.among and abs(angle) > TILT:
+                joints = len(scene.model.group(self.gripper.arm_group).joint_names)
+                text = f"with {joints} joints, in reach only with the object turned by"
+                planning.reject(self.name, placement.name, f"{text} {np.rad2deg(angle):.0f} deg")
+                continue
+            yield from self._descents(solution, planning, other, released)
 
     def _candidates(self, scene: PlanningScene) -> Sequence[Placement]:
         item, support = scene.object(self.object), scene.object(self.support)
@@ -135,13 +130,20 @@ class ChoosePlacement:
         return ask
 
     def _descents(
-        self, solution: PartialSolution, planning: SearchState, placement: Placement
-    ) -> Iterator[PartialSolution]:
+        self, solution: PartialSolution, planning: SearchState, placement: Placement,
+        released: SE3 | None = None,
+    ) -> Iterator[PartialSolution]:  # fmt: skip
+        """Yield solutions with a straight descent to a placement.
+
+        Args:
+            released: T_world_object at which the hand opens; default: a little above the placement.
+        """
         gripper = self.gripper
         T_tcp_object = solution.scene.frame_pose(gripper.tcp_link).inverse() @ solution.scene.frame_pose(
             self.object
         )
-        T_world_tcp = placement.above(RELEASE_GAP) @ T_tcp_object.inverse()
+        T_world_object = placement.above(RELEASE_GAP) if released is None else released
+        T_world_tcp = T_world_object @ T_tcp_object.inverse()
         surface = surface_of_place(solution.scene.object(self.support), placement)
         deep = hand_in_support(hand_of(solution.scene.model, gripper), T_world_tcp, surface)
         if deep > 0:  # tested before IK

@@ -1,0 +1,72 @@
+"""Coupling of two finger joints whose URDF lacks a <mimic> element: one joint follows the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from lxml import etree
+
+from armcell.core import InputError, UnknownNameError
+from armcell.model.robot import Mimic, RobotModel
+from armcell.model.setup.hand_geometry import HandGeometry
+from armcell.model.untrusted_files import parse_xml
+from armcell.model.urdf_writer import NOWHERE, xml_text
+
+STEP = 0.01  # fraction of the driven joint's range over which the jaws' motion is measured
+TOWARD = 0.1  # minimum share of a jaw's motion along the line between the jaws
+
+
+def with_follower_text(text: str, model: RobotModel, drive: str, follower: str) -> str:
+    """Return URDF text in which a joint of a gripper follows the driven joint, so that the jaws move toward
+    each other.
+
+    The motion of both jaws in the middle of the driven joint's range decides whether the joint follows with
+    the multiplier 1 or -1.
+
+    Args:
+        text: URDF text of the model.
+        drive: name of the driven joint.
+        follower: name of the joint that follows it.
+    Raises:
+        UnknownNameError: a name is not a driven joint.
+        InputError: the joints do not move two separate jaws, or not along the line between the jaws.
+    """
+    for name in (drive, follower):
+        if name not in model.joint_names:
+            raise UnknownNameError("driven joint", name, model.joint_names)
+    if drive == follower:
+        raise InputError(f"follower: joint {follower} cannot follow itself")
+    children = [model.joints[name].child for name in (drive, follower)]
+    for upper, lower in ((0, 1), (1, 0)):
+        if children[lower] in model.subtree(children[upper]):
+            names = (drive, follower)
+            raise InputError(f"joint {names[upper]} moves the link that {names[lower]} moves; name two jaws")
+    multiplier = _multiplier(model, drive, follower)
+    root = parse_xml(text, NOWHERE)
+    element = next(e for e in root.iterfind("joint") if e.get("name") == follower)
+    etree.SubElement(element, "mimic", joint=drive, multiplier=f"{multiplier:g}")
+    return xml_text(root)
+
+
+def _multiplier(model: RobotModel, drive: str, follower: str) -> float:
+    driver = model.joints[drive]
+    joint = replace(model.joints[follower], mimic=Mimic(drive))
+    hand = HandGeometry(replace(model, joints={**model.joints, follower: joint}), driver)
+    middle, span = (
+        (driver.limits.lower + driver.limits.upper) / 2, driver.limits.upper - driver.limits.lower
+    )  # fmt: skip
+    if not np.isfinite(span) or span <= 0:
+        raise InputError(f"drive: joint {drive} has no range; its limits must be finite and different")
+    jaws = [tuple(model.subtree(model.joints[name].child)) for name in (drive, follower)]
+    before, after = ([hand.at(links, middle + sign * STEP * span) for links in jaws] for sign in (-1.0, 1.0))
+    if not all(len(points) for points in before):
+        raise InputError(f"a jaw moved by {drive} or {follower} has no collision shapes")
+    line = before[1].mean(0) - before[0].mean(0)
+    along = []
+    for name, a, b in zip((drive, follower), before, after, strict=True):
+        motion = (b - a).mean(0)
+        along.append(float(motion @ line))
+        if abs(along[-1]) < TOWARD * np.linalg.norm(motion) * np.linalg.norm(line) or not motion.any():
+            raise InputError(f"joint {name} does not move its jaw toward the other jaw")
+    return 1.0 if along[0] * along[1] < 0 else -1.0
