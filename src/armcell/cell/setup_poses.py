@@ -101,8 +101,8 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
     wide = ends[1] if spread[1][1] >= spread[0][1] else ends[0]
     narrow = ends[0] if wide is ends[1] else ends[1]
     return {
-        "open": {n: round(float(v), 6) for n, v in zip(names, wide, strict=True)},
-        "close": {n: round(float(v), 6) for n, v in zip(names, narrow, strict=True)},
+        state: {n: float(v) for n, v in zip(names, np.clip(end.round(6), *ends), strict=True)}
+        for state, end in (("open", wide), ("close", narrow))
     }
 
 
