@@ -12,6 +12,7 @@ from armcell.cell.setup_poses import with_poses
 from armcell.collision.self_collision import LinkPair, link_pairs
 from armcell.core import InputError
 from armcell.model import Gripper, Joint, RobotModel, SuctionGripper
+from armcell.model.composition import with_whole_fingers
 from armcell.model.loader import is_mjcf, load_mjcf_file, with_keyframes
 from armcell.model.setup import (
     MoveItConfig,
@@ -128,7 +129,7 @@ def _proven(
     Raises:
         InputError: a gripper about which the user stated facts does not hold the cube.
     """
-    model, proofs = with_proven_grippers(model)
+    model, proofs = with_proven_grippers(with_whole_fingers(model))
     for proof in proofs:
         if grippers and not proof.held:
             raise InputError(

@@ -16,7 +16,7 @@ import numpy as np
 
 from armcell.core import SE3, InputError, Shape, UnknownNameError
 from armcell.model.assets import load_mesh, resolve_uri
-from armcell.model.composition import MountedRobot, compose, with_frame
+from armcell.model.composition import MountedRobot, compose, with_frame, with_whole_fingers
 from armcell.model.grippers import Gripper, SuctionCup, SuctionGripper
 from armcell.model.limits import with_joint_limits
 from armcell.model.robot import Collision, RobotModel, Visual
@@ -197,7 +197,8 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
     """
     file = folder / ROBOT_FILE
     if not file.is_file() and is_moveit_config(folder):
-        return find_grippers(MoveItConfig.load(folder, allow_env=allow_env, xacro_args=xacro_args).model)
+        config = MoveItConfig.load(folder, allow_env=allow_env, xacro_args=xacro_args)
+        return with_whole_fingers(find_grippers(config.model))
     data = read_yaml(file)
     for key in data:
         if key not in _KEYS:
@@ -234,7 +235,7 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
     grippers = dict(model.grippers)
     for name, entry in (data.get("grippers") or {}).items():
         grippers[name] = _gripper(model, name, entry, file)
-    return replace(model, grippers=grippers)
+    return with_whole_fingers(replace(model, grippers=grippers))
 
 
 def _with_visuals_as_collisions(model: RobotModel, names: Any, file: Path) -> RobotModel:
