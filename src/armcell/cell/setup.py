@@ -257,16 +257,13 @@ def _cell_yaml(model: RobotModel) -> str:
         for group, states in model.named_states.items()
         if {"home", "open"} & set(states) and not _made_of_others(model, group)
     }
-    arms = [g.arm_group for g in model.grippers.values()] or [
-        g.name for g in model.groups.values() if g.tip_link
-    ]
     data: dict[str, Any] = {
         "description": f"{model.name}, set up by armcell.",
         "robot": ".",
         "start": start,
         "padding": 0.005,
     }
-    data["task"] = _first_task(model, arms)
+    data["task"] = _first_task(model)
     return yaml_text(
         data,
         "Add what stands around the robot under 'objects' and what it is to do under 'task':",
@@ -274,11 +271,11 @@ def _cell_yaml(model: RobotModel) -> str:
     )
 
 
-def _first_task(model: RobotModel, arms: list[str]) -> list[dict[str, Any]]:
+def _first_task(model: RobotModel) -> list[dict[str, Any]]:
     """Return the task that the setup assistant proposes for a cell without objects: move all arms to named
     states. If the arms share no named state, the task only holds the arms still.
     """
-    tables = [model.named_states.get(arm, {}) for arm in arms]
+    tables = [model.named_states.get(arm, {}) for arm in model.arm_groups]
     shared = [name for name in (tables[0] if tables else {}) if all(name in table for table in tables)]
     names = [name for name in ("ready", "home") if name in shared] or shared[:2]
     return [{"move": name} for name in names] or [{"hold": 1.0}]
