@@ -221,7 +221,7 @@ def test_the_same_seed_gives_the_same_files(tmp_path):
 
 def test_states_at_the_end_of_a_range_stay_within_limits_when_written():
     """Limits of 30 degrees with nine digits, as in the fingers of TIAGo's hand."""
-    limit = '<limit lower="-0.523598775598" upper="0.523598775598" velocity="1" effort="1"/>'
+    limit = '<limit lower="-0.523598775598" upper="2.61799387799" velocity="1" effort="1"/>'
     box = collision('<box size="0.02 0.02 0.1"/>')
     fingers = [part for n in "ab" for part in (link(n, box), joint(f"f{n}", "l3", n, limit=limit))]
     rows = [part for i in range(1, 4) for part in (link(f"l{i}", box), joint(f"j{i}", f"l{i - 1}", f"l{i}"))]
