@@ -16,8 +16,10 @@ def model(request):
 
 def test_the_library_has_the_promised_robots():
     ours = {"panda", "ur10", "ur10_gripper"}
-    example_robot_data = {"ur3", "ur5", "xarm7", "z1", "jaco", "so100", "so101", "baxter", "pr2", "tiago",
-                          "tiago_hand", "tiago_dual", "tiago_pro", "talos", "talos_left_arm"}  # fmt: skip
+    example_robot_data = {
+        "ur3", "ur5", "xarm7", "z1", "jaco", "so100", "so101", "baxter", "pr2", "tiago", "tiago_hand",
+        "tiago_dual", "tiago_pro", "talos", "talos_left_arm", "alex",
+    }  # fmt: skip
     assert ours | example_robot_data <= set(installed_robots())
 
 
