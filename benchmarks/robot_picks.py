@@ -28,7 +28,7 @@ from armcell.model.untrusted_files import read_yaml
 
 ROBOTS = (
     "panda", "ur10_gripper", "z1", "scara", "palletizer", "mobile_ur10", "ur10_rail", "so100", "so101",
-    "baxter", "pr2", "tiago_pro", "talos",
+    "baxter", "pr2", "tiago_pro",
 )  # fmt: skip
 OBJECTS = ("cube", "can")
 SHIFT = 0.02  # [m] to each side
