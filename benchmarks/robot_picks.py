@@ -26,7 +26,10 @@ from armcell.core import InputError
 from armcell.model import RobotModel, load_robot, robot_names
 from armcell.model.untrusted_files import read_yaml
 
-ROBOTS = ("panda", "ur10_gripper", "z1", "scara", "palletizer", "mobile_ur10", "ur10_rail")
+ROBOTS = (
+    "panda", "ur10_gripper", "z1", "scara", "palletizer", "mobile_ur10", "ur10_rail", "so100", "so101",
+    "baxter", "pr2", "tiago_pro",
+)  # fmt: skip
 OBJECTS = ("cube", "can")
 SHIFT = 0.02  # [m] to each side
 TURN = 45.0  # [deg] to each side
@@ -57,7 +60,7 @@ def main() -> int:
 
 
 def _row(model: RobotModel, counts: dict[str, Counter[str]], seeds: int) -> str:
-    (gripper,) = model.grippers.values()
+    gripper = next(iter(model.grippers.values()))  # the one with which the starter cell picks
     cells = [f"{counts[kind]['success']}/{seeds}" if kind in counts else "" for kind in OBJECTS]
     contacts = sum(n["contacts"] for n in counts.values())
     opening = f"{gripper.group}, {1000 * gripper.max_width:.0f} mm"

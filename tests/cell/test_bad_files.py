@@ -77,6 +77,8 @@ BAD = {
     "transfer": (HEAD + CUBE + "task: [{transfer: {object: cub, on: cube}}]\n", "task/0", "mean 'cube'"),
     "transfer look": (
         HEAD + CUBE + "task: [{transfer: {object: cube, on: cube, look: eye}}]\n", "task/0", "camera 'eye'"),
+    "unknown arm": (HEAD + CUBE + "task: [{pick: cube, arm: arn}]\n", "task/0", "did you mean 'arm'"),
+    "arm of a look": (HEAD + "task: [{look: eye, arm: arm}]\n", "task/0", "'look' has no 'arm'"),
     "two steps in one": (HEAD + CUBE + "task: [{pick: cube, hold: 1}]\n", "task/0", "exactly one"),
     "negative hold": (HEAD + "task: [{hold: -1}]\n", "task/0/hold", "greater"),
     "wrong type": (thing("sphere: big"), "objects/a/sphere", "number"),

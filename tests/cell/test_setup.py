@@ -16,13 +16,15 @@ from tests.once import once
 
 import armcell
 from armcell.cell.setup import SetupProposal, cell_files, propose, propose_from_package, write_cell
+from armcell.cell.setup_poses import with_poses
 from armcell.cli.new import write_starter
 from armcell.collision import ExactChecker
 from armcell.collision.self_collision import link_pairs
 from armcell.core import Cylinder, InputError, NamedGoal, PlanRequest
 from armcell.model import MoveItConfig, load_robot, parse_urdf
-from armcell.model.setup import UrdfPart
+from armcell.model.setup import UrdfPart, srdf_of, srdf_text, with_groups
 from armcell.model.setup.gripper_detection import GripperSpec
+from armcell.model.srdf import with_srdf_text
 from armcell.model.urdf_writer import urdf_of
 from armcell.planning import plan
 
@@ -215,6 +217,19 @@ def test_the_same_seed_gives_the_same_files(tmp_path):
     assert cell_files(propose([UrdfPart(file)], 500, 3), "c") == cell_files(
         propose([UrdfPart(file)], 500, 3), "c"
     )
+
+
+def test_states_at_the_end_of_a_range_stay_within_limits_when_written():
+    """Limits of 30 degrees with nine digits, as in the fingers of TIAGo's hand."""
+    limit = '<limit lower="-0.523598775598" upper="2.61799387799" velocity="1" effort="1"/>'
+    box = collision('<box size="0.02 0.02 0.1"/>')
+    fingers = [part for n in "ab" for part in (link(n, box), joint(f"f{n}", "l3", n, limit=limit))]
+    rows = [part for i in range(1, 4) for part in (link(f"l{i}", box), joint(f"j{i}", f"l{i - 1}", f"l{i}"))]
+    model = with_poses(with_groups(parse_urdf(robot(link("l0"), *rows, *fingers), Path("r.urdf"))))
+    read = with_srdf_text(model, srdf_text(srdf_of(model)), "r.srdf")
+    for name in ("open", "close"):
+        state = read.named_state("gripper", name)
+        read.check_positions(state.positions, state.joint_names)
 
 
 def test_a_search_finds_contact_that_samples_missed():

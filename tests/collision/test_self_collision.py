@@ -54,12 +54,16 @@ def test_named_states_are_free(name):
 @pytest.mark.parametrize("samples", sizes(60, 300))
 @pytest.mark.parametrize("name", installed_robots())
 def test_sampling_anew_finds_the_srdf_s_pairs(name, samples):
-    """With few samples more pairs look like "Never" than are; those of the SRDF must be among them."""
+    """With few samples more pairs look like "Never" than are; those of the SRDF must be among them, except
+    those that a user chose and those of fingertips, whose shapes are the finger's.
+    """
     model = load_robot(name)
+    solid = {n for n, link in model.links.items() if link.collisions}
+    asked = {p: why for p, why in model.disabled_collisions.items() if why != "User" and p <= solid}
     found = disabled_collision_pairs(model, samples=samples, seed=1)
-    missing = set(model.disabled_collisions) - set(found)
+    missing = set(asked) - set(found)
     assert not missing
-    for pair, reason in model.disabled_collisions.items():
+    for pair, reason in asked.items():
         assert (found[pair] == "Adjacent") == (reason == "Adjacent")
 
 

@@ -17,7 +17,6 @@ from armcell.model import (
     compose,
     installed_robots,
     load_robot,
-    load_urdf,
     parse_urdf,
 )
 from armcell.model.assets import installed_share, resolve_uri
@@ -116,7 +115,13 @@ def pin_library(name: str) -> pin.Model:
     data = yaml.safe_load((LIBRARY / name / "robot.yaml").read_text())
     if "urdf" in data:
         file, args = resolve_uri(data["urdf"], LIBRARY / name), data.get("xacro_args")
-        return pin.buildModelFromXML(urdf_text(file, None, LIBRARY / name, xacro_texts(args, file)))
+        model = pin.buildModelFromXML(urdf_text(file, None, LIBRARY / name, xacro_texts(args, file)))
+        for link, frame in (data.get("frames") or {}).items():
+            parent = model.frames[model.getFrameId(frame["parent_link"], pin.FrameType.BODY)]
+            T = SE3.from_mapping(frame["pose"])
+            placed = parent.placement * pin.SE3(T.rotation.matrix, np.array(T.translation))
+            model.addFrame(pin.Frame(link, parent.parentJoint, placed, pin.FrameType.BODY))
+        return model
     model = pin.Model()
     if sum("parent_link" not in part for part in data["parts"]) > 1:  # ours get a root of their own
         model.addFrame(pin.Frame("world", 0, 0, pin.SE3.Identity(), pin.FrameType.BODY))
@@ -192,16 +197,11 @@ class PinRobot:
 
 
 def references() -> dict[str, tuple]:
-    """Name -> function that gives (our model, pinocchio's): the library, MotionBenchMaker, other makes."""
+    """Name -> function that gives (our model, pinocchio's): the library and MotionBenchMaker."""
     found = {name: lambda n=name: (load_robot(n), pin_library(n)) for name in installed_robots()}
     for name in ("panda", "ur5", "baxter"):
         if mbm_file(name).exists():
             found[f"mbm_{name}"] = lambda n=name: (mbm_robot(n), pin.buildModelFromUrdf(str(mbm_file(n))))
-    for path in ("kinova_description/robots/kinova.urdf", "baxter_description/urdf/baxter.urdf",
-                 "tiago_description/robots/tiago_dual.urdf"):  # fmt: skip
-        file = EXAMPLES / path
-        if file.exists():
-            found[file.stem] = lambda f=file: (load_urdf(f), pin.buildModelFromUrdf(str(f)))
     return found
 
 

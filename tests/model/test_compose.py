@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from tests.model.helpers import dual, joint, link, model_of
 from tests.sizes import ROBOTS
 
-from armcell.core import SE3, InputError, UnknownNameError
-from armcell.model import MountedRobot, compose, installed_robots, load_robot, prefixed
+from armcell.core import SE3, Box, InputError, UnknownNameError
+from armcell.model import (
+    Collision,
+    Joint,
+    Link,
+    MountedRobot,
+    RobotModel,
+    compose,
+    installed_robots,
+    load_robot,
+    prefixed,
+)
+from armcell.model.composition import with_whole_fingers
 
 
 def test_two_arms_have_prefixed_names_throughout():
@@ -88,3 +101,40 @@ def test_mistakes_are_named():
         compose("whole", [MountedRobot(arm), MountedRobot(hand, "", "tool")])
     with pytest.raises(InputError, match="no parts"):
         compose("nothing", [])
+
+
+def _with_tips() -> RobotModel:
+    """A UR10 whose gripper has a box of 10 mm fixed to the end of each finger."""
+    model = load_robot("ur10_gripper")
+    links, joints = dict(model.links), dict(model.joints)
+    for side in ("left", "right"):
+        finger, tip = f"gripper_{side}_finger", f"{side}_tip"
+        links[tip] = Link(tip, collisions=(Collision(Box(0.01, 0.01, 0.01), SE3.identity()),))
+        joints[tip] = Joint(tip, "fixed", finger, tip, SE3.from_xyz(0.0, 0.0, 0.1))
+    return replace(model, links=links, joints=joints)
+
+
+def test_a_finger_has_the_shapes_of_its_tip():
+    model = with_whole_fingers(_with_tips())
+    for side in ("left", "right"):
+        *_, tip = model.links[f"gripper_{side}_finger"].collisions
+        assert tip.T_link_shape.translation == pytest.approx((0.0, 0.0, 0.1))
+        assert model.links[f"{side}_tip"].collisions == ()
+    assert with_whole_fingers(model) is model  # nothing is left to move
+
+
+@pytest.mark.parametrize(
+    ("finger", "tip", "expected"),
+    [
+        ("Never", "Never", "Never"),
+        ("Never", None, None),  # the tip can touch it
+        ("Adjacent", None, "Adjacent"),
+        (None, "Default", "Default"),
+    ],
+)
+def test_the_pairs_of_a_finger_hold_for_its_tip(finger, tip, expected):
+    links = {"gripper_left_finger": finger, "left_tip": tip}
+    pairs = {frozenset((name, "gripper_base")): reason for name, reason in links.items() if reason}
+    model = replace(_with_tips(), disabled_collisions=pairs)
+    found = with_whole_fingers(model).disabled_collisions
+    assert found.get(frozenset(("gripper_left_finger", "gripper_base"))) == expected

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from armcell.kinematics import kinematic_tree
 from armcell.model import SuctionGripper, installed_robots, load_robot
 
 
@@ -14,13 +15,30 @@ def model(request):
 
 
 def test_the_library_has_the_promised_robots():
-    assert {"panda", "ur10", "ur10_gripper"} <= set(installed_robots())
+    ours = {"panda", "ur10", "ur10_gripper"}
+    example_robot_data = {
+        "ur3", "ur5", "xarm7", "z1", "jaco", "so100", "so101", "baxter", "pr2", "tiago", "tiago_hand",
+        "tiago_dual", "tiago_pro", "talos", "talos_left_arm", "alex",
+    }  # fmt: skip
+    assert ours | example_robot_data <= set(installed_robots())
+
+
+def test_links_without_collision_shapes_get_their_visual_ones():
+    """The description of the SO-100 draws the gripper and the jaw without collision shapes."""
+    model = load_robot("so100")
+    for name in ("gripper", "jaw"):
+        link = model.links[name]
+        solids, drawn = link.collisions, link.visuals
+        assert len(solids) == len(drawn) > 0
+        assert all(c.T_link_shape == v.T_link_visual for c, v in zip(solids, drawn, strict=True))
 
 
 @pytest.mark.slow
 def test_limits_are_complete(model):
-    """What planning and timing need: finite, positive, in order."""
-    assert np.all(model.lower < model.upper) and np.all(np.isfinite([model.lower, model.upper]))
+    """What planning and timing need: finite, positive, in order. Continuous joints have no bounds."""
+    endless = [model.joints[name].type == "continuous" for name in model.joint_names]
+    assert np.all(model.lower < model.upper)
+    np.testing.assert_array_equal(np.isfinite([model.lower, model.upper]), [np.logical_not(endless)] * 2)
     for kind in ("velocity", "acceleration"):
         values = model.limits(model.joint_names, kind)
         assert np.all(np.isfinite(values)) and np.all(values > 0), kind
@@ -50,7 +68,7 @@ def test_named_states_are_of_their_group_and_within_limits(model):
 def test_disabled_pairs_are_links_with_a_reason(model):
     for pair, reason in model.disabled_collisions.items():
         assert pair <= set(model.links) and len(pair) == 2
-        assert reason in ("Adjacent", "Never", "Default", "Always")
+        assert reason in ("Adjacent", "Never", "Default", "Always", "User")
 
 
 def test_grippers_open_and_close(model):
@@ -61,20 +79,28 @@ def test_grippers_open_and_close(model):
             continue
         limits = model.joint(gripper.joint_name).limits
         assert gripper.width(gripper.joint_position(0.03)) == pytest.approx(0.03)
-        assert 0.0 < gripper.width(limits.upper) <= gripper.max_width + 1e-9
-        assert gripper.width(limits.lower) >= -1e-9
+        closed, opened = sorted(gripper.width(q) for q in (limits.lower, limits.upper))
+        assert -1e-9 <= closed < opened <= gripper.max_width + 1e-9
         assert len(gripper.finger_links) == 2 and set(gripper.finger_links) <= set(gripper.hand_links)
         for finger in gripper.finger_links:
             assert gripper.tcp_link in model.links and finger in model.subtree(model.root_link)
 
 
 def test_inertias_are_those_of_real_bodies(model):
-    for link in model.links.values():
-        if link.inertial is None or link.inertial.mass == 0:
+    """Of links that move as one: descriptions give sensors and frames on a link masses without inertia."""
+    tree, q = kinematic_tree(model), model.default_positions()
+    for rigid in model.rigid_groups:
+        bodies = [(tree.link_pose(q, n) @ i.T_link_com, i) for n in rigid if (i := model.links[n].inertial)]
+        if model.root_link in rigid or not (mass := sum(i.mass for _, i in bodies)):
             continue
-        moments = np.linalg.eigvalsh(link.inertial.inertia)
-        assert np.all(moments > 0), link.name
-        assert moments[2] <= moments[0] + moments[1] + 1e-9, f"{link.name}: triangle inequality"
+        center = sum(i.mass * T.translation for T, i in bodies) / mass
+        total = np.zeros((3, 3))
+        for T, i in bodies:
+            R, d = T.rotation.matrix, T.translation - center
+            total += R @ i.inertia @ R.T + i.mass * (d @ d * np.eye(3) - np.outer(d, d))
+        moments = np.linalg.eigvalsh(total)
+        assert np.all(moments > 0), rigid
+        assert moments[2] <= moments[0] + moments[1] + 1e-9, f"{rigid}: triangle inequality"
 
 
 def test_positions_are_checked_by_name(model):
@@ -85,6 +111,7 @@ def test_positions_are_checked_by_name(model):
         model.check_positions(np.full(model.dof, np.nan))
     with pytest.raises(InputError, match="positions given for"):
         model.check_positions(q[:-1])
-    q[0] = model.upper[0] + 0.1
-    with pytest.raises(InputError, match=f"joint '{model.joint_names[0]}' at .* is outside its limits"):
+    at = int(np.flatnonzero(np.isfinite(model.upper))[0])
+    q[at] = model.upper[at] + 0.1
+    with pytest.raises(InputError, match=f"joint '{model.joint_names[at]}' at .* is outside its limits"):
         model.check_positions(q)

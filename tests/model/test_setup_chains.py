@@ -75,6 +75,15 @@ def test_a_torso_belongs_to_no_arm():
     assert model.groups["left_arm"].base_link == "chest"
 
 
+def test_fingers_with_as_many_joints_as_the_arm_are_fingers():
+    """TIAGo's hand: four fingers of seven joints and a thumb on an arm with seven joints."""
+    fingers = [part for n in "abcd" for part in arm(7, f"{n}_", "palm")]
+    parts = [link("base"), *arm(7), link("palm", BOX), joint("wrist", "l7", "palm", "fixed")]
+    model = with_groups(model_of(*parts, *fingers, *arm(5, "thumb_", "palm")))
+    assert set(model.groups) == {"arm", "gripper"}
+    assert len(model.groups["arm"].joint_names) == 7 and len(model.groups["gripper"].joint_names) == 33
+
+
 def test_a_head_beside_the_arm_ends_no_arm():
     """Rethink's Sawyer carries its display on the first moving link."""
     head = [link("head", BOX), joint("head_pan", "l1", "head")]

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from tests.model import helpers
 
 from armcell.core import (
     SE3,
@@ -188,3 +189,21 @@ def test_bad_settings():
         PhysicsSettings(arm_kp=float("nan"))
     with pytest.raises(InputError, match="flat"):
         convex_pieces(Mesh(np.eye(3), np.array([[0, 1, 2]])))
+
+
+def test_limits_that_contradict_a_coupling_do_not_block_the_driven_joint():
+    """The PR2's grippers: a linkage joint with the multiplier -1 and the range of the driven joint."""
+    limit = '<limit lower="0" upper="0.5" velocity="1" effort="1"/>'
+    inertia = '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/>'
+    body = f'<inertial><mass value="0.1"/>{inertia}</inertial>'
+    follow = '<axis xyz="0 0 1"/><mimic joint="driven" multiplier="{}"/>'
+    link, joint = helpers.link, helpers.joint
+    model = helpers.model_of(
+        link("base"), *(link(name, body) for name in ("a", "b", "c")),
+        joint("driven", "base", "a", limit=limit),
+        joint("reversed", "base", "b", inside=follow.format(-1), limit=limit),
+        joint("same", "base", "c", inside=follow.format(1), limit=limit),
+    )  # fmt: skip
+    mj = build(PlanningScene.of(model), PhysicsSettings()).mj
+    limited = {mj.joint(i).name: bool(mj.jnt_limited[i]) for i in range(mj.njnt)}
+    assert limited == {"driven": True, "reversed": False, "same": True}

@@ -267,6 +267,9 @@ class Cell:
                     make_stage(name, values)
                 except InputError as error:
                     raise self._fail(f"task/{i}", error.reason, error.hint) from None
+            arms = self.model.arm_groups
+            if step.arm is not None and step.arm not in arms:
+                raise UnknownNameError("arm", step.arm, arms, file=where, element=f"task/{i}")
             if step.move is not None and step.move not in states:
                 raise UnknownNameError("named state", step.move, states, file=where, element=f"task/{i}")
 

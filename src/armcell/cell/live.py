@@ -272,9 +272,7 @@ class LiveCell:
         """Return a live cell's arms by planning group: all arms with a gripper or,
         if there are none, all kinematic chains.
         """
-        groups = [g.arm_group for g in self.model.grippers.values()]
-        groups = groups or [g.name for g in self.model.groups.values() if g.tip_link]
-        return {name: Arm(self.ctx, name) for name in groups}
+        return {name: Arm(self.ctx, name) for name in self.model.arm_groups}
 
     @property
     def arm(self) -> Arm:

@@ -132,7 +132,9 @@ def gripper_picture(model: RobotModel, gripper: Gripper) -> Image.Image:
 
 def _positions(alone: RobotModel, gripper: Gripper, width: float) -> Array:
     q = alone.default_positions()
-    q[alone.columns(gripper.joint_names)] = gripper.joint_position(width)
+    columns = alone.columns(gripper.joint_names)
+    # Jaws that cannot close completely stop at their joint's limit.
+    q[columns] = np.clip(gripper.joint_position(width), alone.lower[columns], alone.upper[columns])
     return q
 
 

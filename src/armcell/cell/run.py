@@ -68,22 +68,23 @@ def _run_script(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict
 
 
 def _perform(live: LiveCell, step: StepSpec) -> Outcome:
+    arm = None if step.arm is None else live[step.arm]
     if step.pick is not None:
-        return live.arm.pick(step.pick)
+        return (arm or live.arm).pick(step.pick)
     if step.place is not None:
-        return live.arm.place(step.place.object, step.place.on, step.place.at, step.place.up)
+        return (arm or live.arm).place(step.place.object, step.place.on, step.place.at, step.place.up)
     if step.transfer is not None:
         t = step.transfer
         look = partial(live.look, t.look) if t.look is not None else None
-        return live.arm.transfer(t.object, t.on, t.at, t.up, look)
+        return (arm or live.arm).transfer(t.object, t.on, t.at, t.up, look)
     if step.hold is not None:
-        return (next(iter(live.arms.values()), None) or live.arm).hold(step.hold)
+        return (arm or next(iter(live.arms.values()), None) or live.arm).hold(step.hold)
     if step.look is not None:
         return live.look(step.look)
     if step.stage is not None:
         ((name, values),) = step.stage.items()
         return perform_stages(live.ctx, [make_stage(name, values)], name)
-    return _move(live, step.move or "home")
+    return arm.move_to(step.move or "home") if arm else _move(live, step.move or "home")
 
 
 def _move(live: LiveCell, state: str) -> Outcome:

@@ -319,8 +319,9 @@ class TransferSpec(PlaceSpec):
 
 
 class StepSpec(Strict):
-    """Cell file schema for one step of a task. Exactly one of its keys must be given."""
+    """Cell file schema for one step of a task. Exactly one of its keys must be given, apart from `arm`."""
 
+    arm: str | None = None  # planning group of the arm, in a cell with several arms
     pick: str | None = None
     place: PlaceSpec | None = None
     transfer: TransferSpec | None = None  # pick and place with recovery
@@ -331,9 +332,12 @@ class StepSpec(Strict):
 
     @model_validator(mode="after")
     def _one(self):
-        given = [k for k in type(self).model_fields if getattr(self, k) is not None]
+        kinds = [k for k in type(self).model_fields if k != "arm"]
+        given = [k for k in kinds if getattr(self, k) is not None]
         if len(given) != 1:
-            raise ValueError(f"needs exactly one of {', '.join(type(self).model_fields)}")
+            raise ValueError(f"needs exactly one of {', '.join(kinds)}")
+        if self.arm is not None and given[0] in ("look", "stage"):
+            raise ValueError(f"'{given[0]}' has no 'arm'")
         return self
 
     @property

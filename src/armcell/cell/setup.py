@@ -12,6 +12,7 @@ from armcell.cell.setup_poses import with_poses
 from armcell.collision.self_collision import LinkPair, link_pairs
 from armcell.core import InputError
 from armcell.model import Gripper, Joint, RobotModel, SuctionGripper
+from armcell.model.composition import with_whole_fingers
 from armcell.model.loader import is_mjcf, load_mjcf_file, with_keyframes
 from armcell.model.setup import (
     MoveItConfig,
@@ -135,7 +136,7 @@ def _proven(
     Raises:
         InputError: a gripper about which the user stated facts does not hold the cube.
     """
-    model, proofs = with_proven_grippers(model)
+    model, proofs = with_proven_grippers(with_whole_fingers(model))
     for proof in proofs:
         if grippers and not proof.held:
             raise InputError(
@@ -263,16 +264,13 @@ def _cell_yaml(model: RobotModel) -> str:
         for group, states in model.named_states.items()
         if {"home", "open"} & set(states) and not _made_of_others(model, group)
     }
-    arms = [g.arm_group for g in model.grippers.values()] or [
-        g.name for g in model.groups.values() if g.tip_link
-    ]
     data: dict[str, Any] = {
         "description": f"{model.name}, set up by armcell.",
         "robot": ".",
         "start": start,
         "padding": 0.005,
     }
-    data["task"] = _first_task(model, arms)
+    data["task"] = _first_task(model)
     return yaml_text(
         data,
         "Add what stands around the robot under 'objects' and what it is to do under 'task':",
@@ -280,11 +278,11 @@ def _cell_yaml(model: RobotModel) -> str:
     )
 
 
-def _first_task(model: RobotModel, arms: list[str]) -> list[dict[str, Any]]:
+def _first_task(model: RobotModel) -> list[dict[str, Any]]:
     """Return the task that the setup assistant proposes for a cell without objects: move all arms to named
     states. If the arms share no named state, the task only holds the arms still.
     """
-    tables = [model.named_states.get(arm, {}) for arm in arms]
+    tables = [model.named_states.get(arm, {}) for arm in model.arm_groups]
     shared = [name for name in (tables[0] if tables else {}) if all(name in table for table in tables)]
     names = [name for name in ("ready", "home") if name in shared] or shared[:2]
     return [{"move": name} for name in names] or [{"hold": 1.0}]

@@ -100,9 +100,10 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
         spread.append((min(gaps, default=0.0), float(np.mean(gaps)) if gaps else 0.0))
     wide = ends[1] if spread[1][1] >= spread[0][1] else ends[0]
     narrow = ends[0] if wide is ends[1] else ends[1]
+    inside = np.ceil(ends[0] * 1e6) / 1e6, np.floor(ends[1] * 1e6) / 1e6  # six decimals within the limits
     return {
-        "open": {n: round(float(v), 6) for n, v in zip(names, wide, strict=True)},
-        "close": {n: round(float(v), 6) for n, v in zip(names, narrow, strict=True)},
+        state: {n: float(v) for n, v in zip(names, np.clip(end.round(6), *inside), strict=True)}
+        for state, end in (("open", wide), ("close", narrow))
     }
 
 

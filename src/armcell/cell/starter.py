@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,16 @@ from armcell.scene import CollisionObject, PlanningScene
 SAMPLES = 2000  # random states that measure the arm's reach
 SMALL = 0.6  # [m] arms with a smaller reach move less up and down
 GAP = 0.002  # [m] between the robot's base and the table
+THICK = 0.04  # [m] of the table top
 HEIGHTS = (0.0, 0.1, 0.2, 0.4, 0.8)  # [m] tried heights of the robot's base above the table
 DISTANCES = (0.5, 0.6, 0.4, 0.7, 0.3)  # tried distances of the object, as fractions of the reach
 ANGLES = (-25.0, 25.0, 0.0, 60.0, -60.0, 90.0, -90.0, 180.0)  # [deg] tried directions from the base
+HIGH = 0.55  # shoulder above the robot's lowest point, as a fraction of the reach: the robot works at a table
+# in front of it. Arms that stand on their table are below 0.5, mobile and two-armed robots above 0.6.
+DROPS = (0.4, 0.3, 0.5)  # tried heights of the shoulder above that table, as fractions of the reach
+AHEAD = (0.5, 0.6, 0.4)  # tried distances of its middle from the shoulder, as fractions of the reach
+FRONTS = (0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0, 180.0)  # [deg] tried directions of that table
+WIDTH, APART = 0.5, 0.25  # side of that table, and distance from the cube to its goal, per reach
 
 TEXT = """# A first cell: `armcell run FOLDER` runs it, `armcell view FOLDER` shows it in the browser.
 # Lengths are in meters, angles in degrees; poses are [x, y, z] in the frame of the robot's base.
@@ -31,12 +39,12 @@ padding: 0.005          # [m] kept between the robot and objects where possible
 {settings}
 objects:
   table:                # fixed, since it is not movable
-    box: [{side}, {side}, 0.04]
-    pose: [0, 0, {table}]
+    box: [{side}, {side}, {thick}]
+    pose: [{table_x}, {table_y}, {table_z}]
     color: [0.62, 0.52, 0.42]
 {objects}
 cameras:
-  overview: {{eye: [{eye}, -{eye}, {up}], target: [0.0, 0.0, 0.2], fovy_deg: 45}}
+  overview: {{eye: {eye}, target: {target}, fovy_deg: 45}}
 
 task:
 {task}"""
@@ -54,7 +62,9 @@ OBJECTS = """  mat:                  # where the cube goes
 """
 PICK = """  - pick: cube
   - place: {object: cube, on: mat}
-  - move: home
+"""
+PICK_WITH = """  - {{pick: cube, arm: {arm}}}
+  - {{place: {{object: cube, on: mat}}, arm: {arm}}}
 """
 
 
@@ -70,33 +80,101 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
         robot: how the cell names it: a library name, or a path relative to the cell's folder.
         xacro_args: arguments of the robot's xacro file.
     """
-    reach = _reach(model)
+    arms = _arms(model)
     bottom = base_bottom(model)
-    start, height = _free_start(model, bottom, 2.4 * reach)
-    table = bottom - GAP - height
-    states = _task_states(model, table, 2.4 * reach)
-    common = {
-        "name": model.name, "robot": robot, "start": _inline(start), "side": round(2.4 * reach, 2),
-        "table": round(table - 0.02, 4), "eye": round(1.8 * reach, 2), "up": round(1.3 * reach, 2),
-        "settings": _settings(reach),
-        "xacro": f"xacro_args: {_inline(xacro_args)}\n" if xacro_args else "",
-    }  # fmt: skip
-    moves = "".join(f"  - move: {state}\n" for state in states) or "  - hold: 1.0\n"
+    shoulder = _shoulder(model, arms[0]) if arms else np.zeros(3)
+    reach = _reach(model, arms[:1], shoulder)
+    is_high = bool(shoulder[2] - bottom > HIGH * reach)
+    if len(arms) == 1 and not is_high:
+        shoulder = shoulder * [0.0, 0.0, 1.0]  # the only arm works around the robot's base
+        reach = _reach(model, arms, shoulder)
+    common = {"name": model.name, "robot": robot, "settings": _settings(reach), "thick": THICK,
+              "xacro": f"xacro_args: {_inline(xacro_args)}\n" if xacro_args else ""}  # fmt: skip
     if model.grippers:
         edge = round(min(map(_edge, model.grippers.values())), 3)
-        home = "".join(f"  - move: {s}\n" for s in states if s == "home")
-        for distance in DISTANCES:
-            for angle in ANGLES:
-                x, y = _at(distance * reach, angle)
-                goal_x, goal_y = _at(distance * reach, angle + 50.0)
-                objects = OBJECTS.format(
-                    mat=round(max(3 * edge, 0.1), 3), goal_x=goal_x, goal_y=goal_y, x=x, y=y, edge=edge,
-                    mat_z=round(table + 0.002, 4), z=round(table + edge / 2 + 0.0005, 4),
-                    mass=round(800 * edge**3, 3),
-                )  # fmt: skip
-                task = PICK.replace("  - move: home\n", home)
-                yield TEXT.format(**common, does="picks a cube", objects=objects, task=task)
-    yield TEXT.format(**common, does="moves between its states", objects="", task=moves)
+        pick = PICK_WITH.format(arm=arms[0].name) if len(arms) > 1 else PICK
+        around = _around(model, shoulder, reach, bottom)
+        for layout in _in_front(model, shoulder, reach) if is_high else around:
+            goal_x, goal_y, x, y = (round(float(v), 3) for v in (*layout.goal, *layout.cube))
+            objects = OBJECTS.format(
+                mat=round(max(3 * edge, 0.1), 3), goal_x=goal_x, goal_y=goal_y, x=x, y=y, edge=edge,
+                mat_z=round(layout.top + 0.002, 4), z=round(layout.top + edge / 2 + 0.0005, 4),
+                mass=round(800 * edge**3, 3),
+            )  # fmt: skip
+            home = "".join(f"  - move: {s}\n" for s in _task_states(model, layout.table) if s == "home")
+            words = layout.words(reach) | {"objects": objects, "task": pick + home}
+            yield TEXT.format(**common, **words, does="picks a cube")
+    layout = next(_around(model, shoulder, reach, bottom))
+    states = _task_states(model, layout.table)
+    moves = "".join(f"  - move: {state}\n" for state in states) or "  - hold: 1.0\n"
+    yield TEXT.format(
+        **common, **layout.words(reach), does="moves between its states", objects="", task=moves
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Layout of a starter cell: the table, the robot's start states, and the positions (2,) [m] of the cube
+    and of its goal.
+    """
+
+    table: CollisionObject
+    start: dict[str, str]
+    cube: NDArray[np.float64]
+    goal: NDArray[np.float64]
+    raised: bool = False
+
+    @property
+    def top(self) -> float:
+        """Return the height [m] of the table's surface in a starter cell."""
+        return float(self.table.T_world_object.translation[2]) + THICK / 2
+
+    def words(self, reach: float) -> dict[str, object]:
+        """Return the layout's entries in the text of a starter cell."""
+        x, y, z = (round(float(v), 4) for v in self.table.T_world_object.translation)
+        side = local_bounds(self.table.shapes[0][0])[1][0] * 2
+        eye, target = np.array([1.8, -1.8, 1.3]) * reach, [0.0, 0.0, 0.2]
+        if self.raised:
+            target = [x, y, round(self.top, 2)]
+            eye = np.array(target) + np.array([1.1, -1.1, 0.9]) * reach
+        return {
+            "start": _inline(self.start), "side": round(float(side), 2), "table_x": x, "table_y": y,
+            "table_z": z, "eye": [round(float(v), 2) for v in eye], "target": target,
+        }  # fmt: skip
+
+
+def _around(
+    model: RobotModel, shoulder: NDArray[np.float64], reach: float, bottom: float
+) -> Iterator[_Layout]:
+    """Yield layouts in which the robot stands on the table or, if its start states need it, above it."""
+    side = round(2.4 * (reach + float(np.hypot(*shoulder[:2]))), 2)
+    for height in HEIGHTS:
+        table = _table(side, (0.0, 0.0), bottom - GAP - height)
+        start = _free_start(model, table)
+        if start is not None:
+            break
+    for distance in DISTANCES:
+        for angle in ANGLES:
+            cube, goal = (shoulder[:2] + distance * reach * _direction(a) for a in (angle, angle + 50.0))
+            yield _Layout(table, start or {}, cube, goal)
+
+
+def _in_front(model: RobotModel, shoulder: NDArray[np.float64], reach: float) -> Iterator[_Layout]:
+    """Yield layouts with a raised table beside a robot that stands on the floor."""
+    for drop in DROPS:
+        for angle in FRONTS:
+            for ahead in AHEAD:
+                middle = shoulder[:2] + ahead * reach * _direction(angle)
+                table = _table(round(WIDTH * reach, 2), middle, float(shoulder[2]) - drop * reach)
+                start = _free_start(model, table)
+                if start is not None:
+                    aside = APART / 2 * reach * _direction(angle + 90.0)
+                    yield _Layout(table, start, middle - aside, middle + aside, raised=True)
+
+
+def _table(side: float, middle: Sequence[float] | NDArray[np.float64], top: float) -> CollisionObject:
+    x, y, z = (round(float(v), 4) for v in (*middle, top - THICK / 2))
+    return CollisionObject.single("table", Box(side, side, THICK), SE3.from_xyz(x, y, z))
 
 
 def _edge(gripper: Gripper) -> float:
@@ -119,9 +197,9 @@ def _settings(reach: float) -> str:
     return f"settings: {{{entries}}}   # [m] of a small arm\n"
 
 
-def _at(distance: float, angle_deg: float) -> tuple[float, float]:
+def _direction(angle_deg: float) -> NDArray[np.float64]:
     angle = np.radians(angle_deg)
-    return round(float(distance * np.cos(angle)), 3), round(float(distance * np.sin(angle)), 3)
+    return np.array([np.cos(angle), np.sin(angle)])
 
 
 def _inline(values: dict[str, str]) -> str:
@@ -129,27 +207,30 @@ def _inline(values: dict[str, str]) -> str:
 
 
 def _arms(model: RobotModel) -> list[Group]:
-    """Return the arms that the task of a starter cell uses: all arms with a gripper or,
-    if there are none, all arms.
-    """
-    arms = [g for g in model.groups.values() if g.tip_link and g.joint_names]
-    carrying = {g.arm_group for g in model.grippers.values()}
-    return [g for g in arms if g.name in carrying] or arms
+    """Return the arms that the task of a starter cell uses."""
+    return [model.groups[name] for name in model.arm_groups]
 
 
-def _reach(model: RobotModel) -> float:
-    """Return the horizontal reach [m] of an arm from the robot's base, which determines the layout of a
-    starter cell.
+def _shoulder(model: RobotModel, arm: Group) -> NDArray[np.float64]:
+    """Return the position (3,) [m] of an arm's first joint in the frame of the robot's base."""
+    joint = model.joints[arm.joint_names[0]]
+    return kinematic_tree(model).link_pose(model.default_positions(), joint.child).translation
+
+
+def _reach(model: RobotModel, arms: Sequence[Group], center: NDArray[np.float64]) -> float:
+    """Return the horizontal reach [m] of arms (or of the last link, if there is no arm) from a point `center`
+    (3,) [m], which determines the layout of a starter cell.
     """
     tree, rng = kinematic_tree(model), np.random.default_rng(0)
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
-    tips = [g.tip_link for g in _arms(model) if g.tip_link] or [list(model.links)[-1]]
-    moved = model.columns(n for g in _arms(model) for n in g.joint_names)
+    tips = [g.tip_link for g in arms if g.tip_link] or [list(model.links)[-1]]
+    moved = model.columns(n for g in arms for n in g.joint_names)
     far, q = 0.0, model.default_positions()
     for values in rng.uniform(low, high, (SAMPLES, model.dof)):
         q[moved] = values[moved]
-        far = max(far, *(float(np.hypot(*tree.link_pose(q, tip).translation[:2])) for tip in tips))
+        for tip in tips:
+            far = max(far, float(np.hypot(*(tree.link_pose(q, tip).translation - center)[:2])))
     return far
 
 
@@ -188,29 +269,21 @@ def _positions(model: RobotModel, states: dict[str, str]) -> NDArray[np.float64]
     return q
 
 
-def _free(model: RobotModel, states: dict[str, str], table: float, side: float) -> bool:
-    slab = ((Box(side, side, 0.04), SE3.identity()),)
-    top = CollisionObject("table", slab, SE3.from_xyz(0.0, 0.0, table - 0.02))
-    scene = PlanningScene(model, _positions(model, states)).with_object(top)
+def _free(model: RobotModel, states: dict[str, str], table: CollisionObject) -> bool:
+    scene = PlanningScene(model, _positions(model, states)).with_object(table)
     return not ExactChecker(scene).contacts(scene.positions, padded=False)
 
 
-def _free_start(model: RobotModel, bottom: float, side: float) -> tuple[dict[str, str], float]:
-    """Return collision-free start states for a starter cell, and the height [m] of the robot's base above the
-    table.
-    """
-    for height in HEIGHTS:
-        for states in _choices(model):
-            if _free(model, states, bottom - GAP - height, side):
-                return states, height
-    return {}, HEIGHTS[-1]
+def _free_start(model: RobotModel, table: CollisionObject) -> dict[str, str] | None:
+    """Return collision-free start states for a starter cell, or None if there are none."""
+    return next((states for states in _choices(model) if _free(model, states, table)), None)
 
 
-def _task_states(model: RobotModel, table: float, side: float) -> list[str]:
+def _task_states(model: RobotModel, table: CollisionObject) -> list[str]:
     """Return the collision-free named states that all arms have, for the task of a starter cell.
     The state "home" comes last.
     """
     tables = [model.named_states.get(arm.name, {}) for arm in _arms(model)]
     shared = [s for s in (tables[0] if tables else {}) if all(s in t for t in tables)]
-    free = [s for s in shared if _free(model, {a.name: s for a in _arms(model)}, table, side)]
+    free = [s for s in shared if _free(model, {a.name: s for a in _arms(model)}, table)]
     return sorted(free, key=lambda s: (s == "home", s != "ready"))[-3:]

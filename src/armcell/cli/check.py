@@ -98,12 +98,12 @@ def _task(cell, scene) -> Iterator[Finding]:
     for step in cell.spec.task:
         item = step.transfer.object if step.transfer else step.pick
         if item is not None:
-            yield _pick(cell, scene, item)
+            yield _pick(cell, scene, item, step.arm)
         if step.goal is not None:
             yield _place(scene, step.goal)
 
 
-def _pick(cell, scene, name: str) -> Finding:
+def _pick(cell, scene, name: str, arm: str | None) -> Finding:
     from armcell.core import InputError
     from armcell.grasping import grasp_candidates, hand_of, nearest_miss
 
@@ -111,7 +111,7 @@ def _pick(cell, scene, name: str) -> Finding:
     if not item.movable:
         return False, what, "the object is fixed: give it 'movable: true'"
     try:
-        gripper = cell.model.gripper()
+        gripper = cell.model.gripper(arm_group=arm)
     except InputError as error:
         return False, what, str(error)
     grasps, rejected = grasp_candidates(item, hand_of(cell.model, gripper))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from armcell.core import SE3, InputError, UnknownNameError
@@ -172,6 +172,50 @@ def with_frame(model: RobotModel, name: str, parent: str, T_parent_frame: SE3) -
         joints={**model.joints, joint.name: joint},
         frames={**model.frames, name: joint},
     )
+
+
+def with_whole_fingers(model: RobotModel) -> RobotModel:
+    """Return the robot with one solid link per finger: the collision shapes of links that are fixed to a
+    finger, such as exchangeable finger tips, become shapes of the finger's link.
+
+    Grasp planning and physics know a finger by its link. A finger that is fixed to the palm keeps its shapes,
+    and so do links from an MJCF file, whose bodies physics uses unchanged. A pair with the finger's link is
+    not checked for collision if one of the joined links touches normally, or if all of them never touch.
+    """
+    links, pairs = dict(model.links), dict(model.disabled_collisions)
+    built = {name for part in model.mjcf for name in part.links}
+    for gripper in model.grippers.values():
+        for finger in dict.fromkeys(gripper.finger_links):
+            rigid = next(group for group in model.rigid_groups if finger in group)
+            if gripper.tcp_link in rigid or finger in built:
+                continue
+            for name in model.links:  # in the model's order
+                if name in rigid and name not in gripper.finger_links and links[name].collisions:
+                    T = _at_zero(model, finger).inverse() @ _at_zero(model, name)
+                    moved = tuple(replace(c, T_link_shape=T @ c.T_link_shape) for c in links[name].collisions)
+                    links[finger] = replace(links[finger], collisions=links[finger].collisions + moved)
+                    links[name] = replace(links[name], collisions=())
+                    _join_pairs(pairs, finger, name, [n for n in links if n not in rigid])
+    return replace(model, links=links, disabled_collisions=pairs) if links != model.links else model
+
+
+def _join_pairs(pairs: dict[frozenset[str], str], finger: str, part: str, others: Iterable[str]) -> None:
+    """Change the unchecked pairs of a finger's link, now that the link also has a part's shapes."""
+    for other in others:
+        reasons = [pairs.get(frozenset((link, other))) for link in (finger, part)]
+        normal = next((reason for reason in reasons if reason not in (None, "Never")), None)
+        if normal is not None:
+            pairs[frozenset((finger, other))] = normal
+        elif None in reasons:
+            pairs.pop(frozenset((finger, other)), None)
+
+
+def _at_zero(model: RobotModel, link: str) -> SE3:
+    """Return the pose of a link in the root's frame with all joints of the robot at zero."""
+    T = SE3.identity()
+    for joint in model.chain(model.root_link, link):
+        T = T @ joint.T_parent_joint
+    return T
 
 
 def with_tip(model: RobotModel, group: str, link: str) -> RobotModel:

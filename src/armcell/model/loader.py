@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from armcell.core import SE3, InputError, UnknownNameError
-from armcell.model.assets import EXTRAS, extra_hint, resolve_uri
-from armcell.model.composition import MountedRobot, compose, with_frame
+from armcell.core import SE3, InputError, Shape, UnknownNameError
+from armcell.model.assets import EXTRAS, extra_hint, load_mesh, resolve_uri
+from armcell.model.composition import MountedRobot, compose, with_frame, with_whole_fingers
 from armcell.model.grippers import Gripper, SuctionCup, SuctionGripper
 from armcell.model.limits import with_joint_limits
-from armcell.model.robot import RobotModel
+from armcell.model.robot import Collision, RobotModel, Visual
 from armcell.model.setup.arm_detection import with_groups
 from armcell.model.setup.gripper_detection import find_grippers
 from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config
@@ -36,6 +36,7 @@ _KEYS = {
     "source",
     *_SOURCES,
     "root",
+    "visual_as_collision",
     "srdf",
     "joint_limits",
     "ik_solvers",
@@ -205,7 +206,8 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
     """
     file = folder / ROBOT_FILE
     if not os.path.isfile(file) and is_moveit_config(folder):
-        return find_grippers(MoveItConfig.load(folder, allow_env=allow_env, xacro_args=xacro_args).model)
+        config = MoveItConfig.load(folder, allow_env=allow_env, xacro_args=xacro_args)
+        return with_whole_fingers(find_grippers(config.model))
     data = read_yaml(file)
     for key in data:
         if key not in _KEYS:
@@ -225,6 +227,7 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
             model = load_urdf(_source_path(data, "urdf", folder, file), allow_env, folder, given)
         if "root" in data:
             model = rerooted(model, str(data["root"]))
+        model = _with_visuals_as_collisions(model, data.get("visual_as_collision") or [], file)
         model = with_adjacent_disabled(model)
     else:
         parts = [_part(p, folder, file, allow_env) for p in data["parts"]]
@@ -241,7 +244,34 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
     grippers = dict(model.grippers)
     for name, entry in (data.get("grippers") or {}).items():
         grippers[name] = _gripper(model, name, entry, file)
-    return replace(model, grippers=grippers)
+    return with_whole_fingers(replace(model, grippers=grippers))
+
+
+def _with_visuals_as_collisions(model: RobotModel, names: Any, file: Path) -> RobotModel:
+    """Return the robot with the visual shapes of some links also as their collision shapes. Some descriptions
+    draw a link, but give it no collision shape.
+    """
+    where = {"file": file, "element": "visual_as_collision"}
+    if not isinstance(names, list):
+        raise InputError("is not a list of links", **where)
+    links = dict(model.links)
+    for name in names:
+        if name not in links:
+            raise UnknownNameError("link", str(name), links, **where)
+        link = links[name]
+        if link.collisions or not link.visuals:
+            has = "collision shapes already" if link.collisions else "no visual shapes"
+            raise InputError(f"link {name!r} has {has}", **where)
+        solids = tuple(Collision(_shape(visual), visual.T_link_visual) for visual in link.visuals)
+        links[name] = replace(link, collisions=solids)
+    return replace(model, links=links)
+
+
+def _shape(visual: Visual) -> Shape:
+    if visual.shape is not None:
+        return visual.shape
+    assert visual.file is not None  # a visual without a shape has a mesh file
+    return load_mesh(visual.file, visual.scale)
 
 
 def _with_frames(model: RobotModel, frames: Any, file: Path) -> RobotModel:

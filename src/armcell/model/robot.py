@@ -268,6 +268,14 @@ class RobotModel:
             )
         return fitting[0]
 
+    @property
+    def arm_groups(self) -> tuple[str, ...]:
+        """Return the planning groups of the robot's arms by name: those that carry a gripper or, if no arm
+        does, all kinematic chains.
+        """
+        carrying = dict.fromkeys(g.arm_group for g in self.grippers.values())
+        return tuple(carrying or (g.name for g in self.groups.values() if g.tip_link and g.joint_names))
+
     def columns(self, joint_names: Iterable[str]) -> list[int]:
         """Return the indices of the given joints in `joint_names` of the robot model.
 

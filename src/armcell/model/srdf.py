@@ -330,7 +330,7 @@ def srdf_of(model: RobotModel) -> Element:
         parts.append(element("group", *_members(model, group.name), name=group.name))
     for group, states in model.named_states.items():
         for name, values in states.items():
-            joints = (element("joint", name=j, value=f"{v:.6g}") for j, v in values.items())
+            joints = (element("joint", name=j, value=f"{v:.9g}") for j, v in values.items())
             parts.append(element("group_state", *joints, name=name, group=group))
     for end in model.end_effectors.values():
         extra = {"parent_group": end.parent_group} if end.parent_group else {}

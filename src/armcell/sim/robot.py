@@ -24,6 +24,8 @@ from armcell.sim.shapes import (
     full_inertia,
 )
 
+EXCLUDED = 1e-3  # [rad or m] by which a mimic joint's limits may miss the range of its coupling
+
 
 def mjcf_links(model: RobotModel) -> dict[str, MjcfPart]:
     """Return the MJCF part of each robot link that an MJCF file describes, by link name. Links without an
@@ -90,7 +92,7 @@ def add_robot(
         body = bodies[joint.parent].add_body(name=joint.child, pos=T.translation, quat=T.quat_wxyz)
         bodies[joint.child] = body
         if joint.movable:
-            _add_joint(body, joint, settings, scales.get(joint.name, 1.0))
+            _add_joint(body, model, joint, settings, scales.get(joint.name, 1.0))
     massless = _massless_carriers(model)
     for name, body in bodies.items():
         link = model.links[name]
@@ -128,12 +130,32 @@ def _finger_scales(model: RobotModel) -> dict[str, float]:
     }
 
 
-def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings, scale: float = 1.0) -> None:
+def _is_limited(model: RobotModel, joint: Joint) -> bool:
+    """Return whether a joint of a simulated robot stops at its limits.
+
+    A mimic joint whose limits exclude positions to which its coupling moves it has no limits in physics: they
+    would block the driven joint. Descriptions contain such limits (the grippers of the PR2: range 0 to 0.548
+    with the multiplier -1).
+    """
+    low, high = joint.limits.lower, joint.limits.upper
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return False
+    driver = joint
+    while driver.mimic is not None:
+        driver = model.joints[driver.mimic.joint]
+    multiplier, offset = _coupling(model, joint.name, driver.name)
+    ends = [multiplier * q + offset for q in (driver.limits.lower, driver.limits.upper)]
+    return low - EXCLUDED <= min(ends) and max(ends) <= high + EXCLUDED
+
+
+def _add_joint(
+    body: Any, model: RobotModel, joint: Joint, settings: PhysicsSettings, scale: float = 1.0
+) -> None:
     """Add a joint to a body of a simulated robot. `scale` [m/rad] adapts armature and damping to a rotating
     finger; it is 1 for other joints.
     """
     types = mujoco.mjtJoint
-    limited = bool(np.isfinite(joint.limits.lower) and np.isfinite(joint.limits.upper))
+    limited = _is_limited(model, joint)
     body.add_joint(
         name=joint.name,
         type=types.mjJNT_SLIDE if joint.type == "prismatic" else types.mjJNT_HINGE,

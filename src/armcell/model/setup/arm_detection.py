@@ -133,7 +133,7 @@ def _follow(
     for first in starts:
         row, ends = _row(model, first)
         below = [_depth(model, j) for j in ends]
-        if ends and not (len(row) >= HAND_AFTER and max(below) < len(row)):
+        if ends and not (len(row) >= HAND_AFTER and (max(below) < len(row) or _are_fingers(below))):
             _follow(
                 model, row[-1].child, found, names_of_jaws, cups
             )  # `row` is a torso: the arms are further down
@@ -153,6 +153,13 @@ def _follow(
             palm = _fixed_hand(model, last) or _suction_hand(model, last, cups)
         tip = _tip(model, driven[-1].child, palm)
         found.append(ArmChain(driven[0].parent, tip, names, palm))
+
+
+def _are_fingers(depths: list[int]) -> bool:
+    """Return whether branches with the given numbers of joints are the fingers of a hand rather than arms: at
+    least three of them are long. The fingers of TIAGo's hand have as many joints as its arm.
+    """
+    return sum(2 * depth >= max(depths) for depth in depths) > 2
 
 
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
