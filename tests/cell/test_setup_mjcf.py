@@ -17,7 +17,7 @@ ARM = """<mujoco model="arm6">
   <default>
     <default class="link"><geom type="capsule" size="0.04" mass="1.5"/></default>
     <default class="servo"><position kp="2000" kv="200" forcerange="-150 150"/></default>
-    <default class="bar"><joint armature="0.001" damping="0.1"/></default>
+    <default class="bar"><joint armature="0.1" damping="0.1"/></default>
     <default class="finger"><joint type="slide" axis="0 1 0" range="0 0.04" damping="5" armature="0.05"/>
       <geom type="box" size="0.012 0.008 0.03" pos="0 0.008 0.03" mass="0.05" friction="1"/></default>
   </default>
@@ -52,6 +52,7 @@ FINGERS = """
                       <joint name="left_joint"/><geom/></body>
                     <body name="right_finger" pos="0 0 0.04" quat="0 0 0 1" childclass="finger">
                       <joint name="right_joint"/><geom/></body>"""
+# The bars inherit the armature of the arm, as those of Menagerie's xArm gripper do.
 # Four bars per finger: a crank and a rocker carry the finger, which a connect equality closes.
 SIDE = """
                     <body name="{s}_crank" pos="0 {y} 0.05">

@@ -25,6 +25,7 @@ from armcell.sim.shapes import (
 )
 
 EXCLUDED = 1e-3  # [rad or m] by which a mimic joint's limits may miss the range of its coupling
+FINGER_INERTIA = 2.0  # [kg] largest armature of a hand's joint, as mass at the pads (Menagerie's 2F-85: 1.5)
 
 
 def mjcf_links(model: RobotModel) -> dict[str, MjcfPart]:
@@ -286,6 +287,9 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
     # A gripper's force is the force at its pads: its motor also overcomes the hand's friction and springs.
     for name in _hand_joints(model, gripper):
         joint, (multiplier, offset) = spec.joint(name), _coupling(model, name, gripper.joint_name)
+        if multiplier:  # heavier fingers close slowly and bounce: MJCF hands inherit the armature of the arm
+            travel = gripper.finger_travel_per_joint / multiplier
+            joint.armature = min(joint.armature, FINGER_INERTIA * travel**2)
         joint.frictionloss = 0.0
         joint.damping[0] = min(joint.damping[0], kv)  # else the fingers creep to their target
         stiffness = float(np.ravel(joint.stiffness)[0])
