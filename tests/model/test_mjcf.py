@@ -228,6 +228,23 @@ def test_joints_without_an_actuator_are_named(tmp_path, caplog):
     assert "joints without an actuator: pan" in caplog.text
 
 
+def test_a_joint_that_only_a_spring_holds_rests(tmp_path):
+    """Soft fingertips are no joints of the arm (Hello Robot Stretch); physics keeps their joints."""
+    soft = '<joint name="soft" axis="0 1 0" stiffness="3" springref="20"/><joint name="elbow"'
+    text = ARM.replace('<joint name="elbow"', soft).replace("0.1 0.2 0.05", "0.1 0.2 0.1 0.05")
+    file = arm(tmp_path, text)
+    model = load_mjcf(file)
+    assert model.joint_names == ("pan", "lift", "elbow") and model.joints["soft"].type == "fixed"
+    assert model.mjcf[0].states["up"].keys() == set(model.joint_names)
+    mj = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(mj)
+    data.qpos[:] = mj.qpos_spring
+    mujoco.mj_kinematics(mj, data)
+    q = [mj.qpos_spring[mj.joint(name).qposadr[0]] for name in model.joint_names]
+    T = kinematic_tree(model).link_pose(q, "fore")
+    np.testing.assert_allclose(T.translation, data.body("fore").xpos, atol=1e-12)
+
+
 def test_includes_from_other_folders(tmp_path):
     (tmp_path / "parts").mkdir()
     jaws = JAWS.format('<include file="parts/more.xml"/>')

@@ -20,6 +20,7 @@ logger = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 # MuJoCo's enumeration values do not equal numpy's integers when they are looked up in a tuple.
 ON_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+ON_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 LOOPS = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 SAMPLES = 9  # positions of a driver at which a linkage is solved
 SPRING_WEIGHT = 1e-3  # [m/rad] weight of a sprung joint's rest position against the linkage's residual
@@ -81,7 +82,7 @@ def couplings(model: Any, name: str) -> Couplings:
         kind, target = int(model.actuator_trntype[i]), int(model.actuator_trnid[i, 0])
         if kind in ON_JOINT:
             found.actuated.add(target)
-        elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
+        elif kind == ON_TENDON:
             tendons.append(target)
     driven_by_tendon = {j for t in tendons for j, _ in tendon_joints(model, t)}
     equalities = [i for i in range(model.neq) if model.eq_active0[i]]

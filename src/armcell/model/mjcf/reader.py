@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, Box, Capsule, Cylinder, InputError, Mesh, Shape, Sphere
 from armcell.model.assets import MESH_SUFFIXES
-from armcell.model.mjcf.coupling import ON_JOINT, Couplings, couplings, tendon_joints
+from armcell.model.mjcf.coupling import ON_JOINT, ON_TENDON, Couplings, couplings, tendon_joints
 from armcell.model.mjcf.files import MjcfText, read_mjcf
 from armcell.model.mjcf.spec import RobotSpec, joints_of, robot_spec
 from armcell.model.robot import (
@@ -66,6 +66,7 @@ class _Reader:
         self.m: Any = found.compiled
         self.name = found.spec.modelname or file.stem
         self.couplings: Couplings = couplings(self.m, self.name)
+        self.sprung = self.sprung_joints()
 
     def robot(self) -> RobotModel:
         m = self.m
@@ -84,7 +85,7 @@ class _Reader:
                 self.file, ", ".join(self.found.objects),
             )  # fmt: skip
         self.report_undriven()
-        known = {n: {j: q for j, q in key.items() if j in joints} for n, key in self.found.keys.items()}
+        known = {n: {j: q for j, q in key.items() if joints[j].movable} for n, key in self.found.keys.items()}
         part = MjcfPart(self.source.text, root, frozenset(links), "", known)
         return RobotModel(
             self.name,
@@ -182,6 +183,10 @@ class _Reader:
         ref = float(m.qpos0[m.jnt_qposadr[i]])
         if ref:  # the joint's position in the pose of the file
             T = T @ (SE3(SO3.identity(), -ref * axis) if slides else SE3(SO3.exp(-ref * axis), np.zeros(3)))
+        if i in self.sprung:
+            rest = float(m.qpos_spring[m.jnt_qposadr[i]])
+            moved = SE3(SO3.identity(), rest * axis) if slides else SE3(SO3.exp(rest * axis), np.zeros(3))
+            return Joint(name, "fixed", parent, child, T @ moved)
         limited = bool(m.jnt_limited[i])
         low, high = (float(v) for v in m.jnt_range[i]) if limited else (-np.inf, np.inf)
         for text in limit_faults(name, "prismatic" if slides else "revolute", low, high):
@@ -237,7 +242,7 @@ class _Reader:
         gear = float(m.actuator_gear[actuator, 0])
         if kind in ON_JOINT:
             return gear if target == joint else 0.0
-        if kind != int(mujoco.mjtTrn.mjTRN_TENDON):
+        if kind != ON_TENDON:
             return 0.0
         total = 0.0
         for j, coefficient in tendon_joints(m, target):
@@ -245,9 +250,21 @@ class _Reader:
             total += coefficient * multiplier if driver == joint else 0.0
         return gear * total
 
+    def sprung_joints(self) -> set[int]:
+        """Return the joints of an MJCF file that only springs hold, such as soft fingertips.
+
+        They rest at their springs' reference positions, because no motor moves them. Physics keeps them.
+        Hands with spatial tendons have return springs in joints that the tendons move.
+        """
+        m, known = self.m, self.couplings.actuated | set(self.couplings.rules)
+        moved = [(int(kind), int(m.actuator_trnid[i, 0])) for i, kind in enumerate(m.actuator_trntype)]
+        if not moved or not all(k in ON_JOINT or (k == ON_TENDON and tendon_joints(m, t)) for k, t in moved):
+            return set()
+        return {i for i in range(m.njnt) if i not in known and np.ravel(m.jnt_stiffness[i])[0] > 0}
+
     def report_undriven(self) -> None:
         m = self.m
-        known = self.couplings.actuated | set(self.couplings.rules)
+        known = self.couplings.actuated | set(self.couplings.rules) | self.sprung
         loose = [m.joint(i).name for i in range(m.njnt) if i not in known]
         if loose and len(m.actuator_trntype):
             logger.warning(
