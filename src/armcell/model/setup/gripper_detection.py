@@ -17,9 +17,9 @@ import numpy as np
 from armcell.core import InputError, UnknownNameError
 from armcell.model.composition import with_tip
 from armcell.model.robot import EndEffector, RobotModel
-from armcell.model.setup.arm_detection import cup_links
+from armcell.model.setup.arm_detection import cup_links, driver_of
 from armcell.model.setup.cups import with_suction_gripper
-from armcell.model.setup.hand_geometry import GripperNotRecognizedError, HandGeometry, driver_of
+from armcell.model.setup.hand_geometry import GripperNotRecognizedError, HandGeometry
 from armcell.model.setup.jaws import find_jaws
 from armcell.model.setup.pads import with_measured_gripper
 
@@ -194,7 +194,10 @@ def _with_gripper(model: RobotModel, end: EndEffector, fact: GripperSpec) -> Rob
         return found[0]
     names = ", ".join(driven) or "fixed jaws"
     hint = (
-        "pass --gripper with drive=JOINT follower=JOINT to couple two joints, or add "
+        "add <equality><joint joint1=FOLLOWER joint2=DRIVE/></equality> to the MJCF file for each joint that "
+        "follows another joint"
+        if model.mjcf
+        else "pass --gripper with drive=JOINT follower=JOINT to couple two joints, or add "
         '<mimic joint="..."/> in the URDF to the joints that follow another joint'
     )
     if found:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from armcell.core import SE3, SO3, Mesh
 from armcell.core.geometry import local_bounds
 from armcell.model.robot import Joint, Link, RobotModel
-from armcell.model.setup.arm_detection import common_link
+from armcell.model.setup.arm_detection import common_link, driver_of
 
 F64 = NDArray[np.float64]
 SPACING = 0.002  # [m] of the grid on which the jaws' facing surfaces are compared
@@ -103,9 +103,12 @@ class HandGeometry:
         return np.concatenate(parts) if parts else np.zeros((0, 3))
 
     def branch(self, part: tuple[str, ...]) -> str:
-        """Return the first movable joint on the path from the palm of a hand to the given links."""
+        """Return the first movable joint on the path from the palm of a hand, or from a slider that carries
+        all fingers, to the given links.
+        """
         top = min(part, key=lambda n: len(self.model.chain(self.palm, n)))
-        return next(j.name for j in self.model.chain(self.palm, top) if j.movable)
+        root = common_link(self.model, [j.child for j in self.moving])
+        return next((j.name for j in self.model.chain(root, top) if j.movable), "")
 
     def last_axis(self) -> F64 | None:
         """Return the axis of the last arm joint above a gripper, in the frame of the palm.
@@ -155,13 +158,6 @@ class HandGeometry:
     def hand_links(self) -> tuple[str, ...]:
         below = [n for n in self.model.subtree(self.palm) if self.model.links[n].collisions]
         return tuple(dict.fromkeys([self.palm, *below]))
-
-
-def driver_of(model: RobotModel, joint: Joint) -> str:
-    """Return the actuated joint that drives a joint of a gripper, directly or through mimic joints."""
-    while joint.mimic is not None:
-        joint = model.joints[joint.mimic.joint]
-    return joint.name
 
 
 def _value(model: RobotModel, joint: Joint, driver: str, q: float) -> float:

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Part = tuple[str, ...]
 
 SNAP = 0.9986  # cosine of 3 degrees: directions nearer to an axis of the palm's frame are that axis
-NEAR_ROLL = np.cos(np.deg2rad(20))  # largest angle between a single jaw's pad and the last joint's axis
+NEAR_ROLL = np.cos(np.deg2rad(20))  # largest angle between the jaws' direction and the last joint's axis
 WIDEST_TURN = np.deg2rad(40)  # a jaw that turns farther does not hold an object between its pads
 LONGEST_PAD = 0.024  # [m] of a longer pad, the outer end is used
 FACING = 0.5  # smallest cosine between the line between two jaws and their relative velocity
@@ -145,6 +145,9 @@ def _facing(
         a, b = b, a
     moving = [p for p in dict.fromkeys(hand.rigid[j.child] for j in hand.moving) if len(hand.at(p, mid))]
     axes = _axes(y, _out(hand, moving, mid))
+    roll = hand.last_axis()
+    if roll is not None and abs(roll @ axes[2]) > NEAR_ROLL:  # jaws may be lopsided (I2RT YAM)
+        axes = _axes(y, np.sign(roll @ axes[2]) * roll)
     return Jaws(a, b, axes, *_ends(hand, a, b, axes, low, high, closes))
 
 

@@ -16,6 +16,7 @@ from armcell.model.setup.jaws import LONGEST_PAD, WIDEST_TURN, Jaws
 Array = NDArray[np.float64]
 
 DEEP = 0.01  # [m] overlap of jaws at the closed limit from which on the limit is not the closed position
+OPENED = 0.25  # part of the driven joint's range after which the pads of a single jaw are apart
 BISECTIONS = 12  # of the joint's range, to find the position at which jaws touch
 NARROW = 0.002  # [m] a smaller opening is not a gripper's
 STEPS = 33  # positions of the driven joint at which the opening is measured
@@ -48,6 +49,9 @@ def with_measured_gripper(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool
         raise GripperNotRecognizedError("its jaws do not face each other when it is closed")
     tip = float(min((hand.at(p, at) @ axes[2]).max() for p in (jaws.plus, jaws.minus)))
     gaps = plus - minus
+    if jaws.single:
+        apart = _opening_cells(hand, jaws, cells, gaps)
+        cells, gaps = cells[apart], gaps[apart]
     outer = cells[:, 1] > tip - 2 * LONGEST_PAD
     if not outer.any():
         raise GripperNotRecognizedError("its jaws do not face each other at their ends")
@@ -124,6 +128,19 @@ def _touching(hand: HandGeometry, jaws: Jaws) -> Jaws:
         middle = (inside + outside) / 2
         inside, outside = (middle, outside) if gap(middle) < 0 else (inside, middle)
     return replace(jaws, closed=outside)
+
+
+def _opening_cells(hand: HandGeometry, jaws: Jaws, cells: Array, gaps: Array) -> NDArray[np.bool_]:
+    """Return which grid cells (n,) between a turning jaw and the fixed jaw can belong to the pads.
+
+    Around the jaw's joint, both links overlap in every position, so the gap there does not grow when the
+    gripper opens.
+    """
+    q = jaws.closed + OPENED * (jaws.opened - jaws.closed)
+    _, there, plus, minus = hand.gap(jaws.plus, jaws.minus, jaws.axes, q)
+    opened = dict(zip(map(tuple, np.round(there / SPACING).astype(int)), plus - minus, strict=True))
+    keys = map(tuple, np.round(cells / SPACING).astype(int))
+    return np.array([gap > 0 or opened.get(k, np.inf) > 0 for k, gap in zip(keys, gaps, strict=True)])
 
 
 def _pad_cells(cells: Array, gaps: Array, tip: float, flat: float) -> Array:
