@@ -178,25 +178,34 @@ def with_whole_fingers(model: RobotModel) -> RobotModel:
     """Return the robot with one solid link per finger: the collision shapes of links that are fixed to a
     finger, such as exchangeable finger tips, become shapes of the finger's link.
 
-    Grasp planning and physics know a finger by its link. A finger that is fixed to the palm keeps its shapes,
-    and so do links from an MJCF file, whose bodies physics uses unchanged. A pair with the finger's link is
-    not checked for collision if one of the joined links touches normally, or if all of them never touch.
+    Grasp planning and physics know a finger by its link. A finger that is fixed to the palm keeps its shapes.
+    Physics keeps the bodies of links from an MJCF file, and counts their contacts as the finger's. A pair
+    with the finger's link is not checked for collision if one of the joined links touches normally, or if all
+    of them never touch.
     """
     links, pairs = dict(model.links), dict(model.disabled_collisions)
-    built = {name for part in model.mjcf for name in part.links}
+    for name, finger in finger_parts(model).items():
+        if links[name].collisions:
+            T = _at_zero(model, finger).inverse() @ _at_zero(model, name)
+            moved = tuple(replace(c, T_link_shape=T @ c.T_link_shape) for c in links[name].collisions)
+            links[finger] = replace(links[finger], collisions=links[finger].collisions + moved)
+            links[name] = replace(links[name], collisions=())
+            rigid = next(group for group in model.rigid_groups if finger in group)
+            _join_pairs(pairs, finger, name, [n for n in links if n not in rigid])
+    return replace(model, links=links, disabled_collisions=pairs) if links != model.links else model
+
+
+def finger_parts(model: RobotModel) -> dict[str, str]:
+    """Return the finger of each link that is fixed to a finger, in the model's order of links. Links that are
+    also fixed to the palm have no entry.
+    """
+    found = {}
     for gripper in model.grippers.values():
         for finger in dict.fromkeys(gripper.finger_links):
             rigid = next(group for group in model.rigid_groups if finger in group)
-            if gripper.tcp_link in rigid or finger in built:
-                continue
-            for name in model.links:  # in the model's order
-                if name in rigid and name not in gripper.finger_links and links[name].collisions:
-                    T = _at_zero(model, finger).inverse() @ _at_zero(model, name)
-                    moved = tuple(replace(c, T_link_shape=T @ c.T_link_shape) for c in links[name].collisions)
-                    links[finger] = replace(links[finger], collisions=links[finger].collisions + moved)
-                    links[name] = replace(links[name], collisions=())
-                    _join_pairs(pairs, finger, name, [n for n in links if n not in rigid])
-    return replace(model, links=links, disabled_collisions=pairs) if links != model.links else model
+            if gripper.tcp_link not in rigid:
+                found |= {n: finger for n in model.links if n in rigid and n not in gripper.finger_links}
+    return found
 
 
 def _join_pairs(pairs: dict[frozenset[str], str], finger: str, part: str, others: Iterable[str]) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError
 from armcell.model import Gripper, RobotModel, SuctionGripper
+from armcell.model.composition import finger_parts
 from armcell.model.mjcf.spec import UNSAVED, log_mujoco_warnings
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim.cups import CupIndex, add_cups, index_cups
@@ -119,6 +120,8 @@ def indexed(
     owner_of_body = np.full(mj.nbody, -1)
     for name, i in body.items():
         owner_of_body[i] = owner_index[name]
+    for name, finger in finger_parts(model).items():
+        owner_of_body[body[name]] = owner_index[finger]
     cups = index_cups(mj, model, owner_index)
     for cup in cups:
         owner_of_body[cup.body] = cup.owner

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import mujoco
@@ -11,6 +11,7 @@ import numpy as np
 from armcell.core import SE3, Mesh
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR, visual_parts
+from armcell.model.composition import finger_parts
 from armcell.model.mjcf.spec import physics_spec
 from armcell.model.robot import MjcfPart
 from armcell.scene import WORLD, PlanningScene
@@ -249,10 +250,15 @@ def add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
     group_of = {name: i for i, group in enumerate(model.rigid_groups) for name in group}
     joined = {frozenset((group_of[j.parent], group_of[j.child])) for j in model.joints.values() if j.movable}
     solid = [name for name, link in model.links.items() if link.collisions]
+    bodies, from_mjcf = {name: [name] for name in solid}, mjcf_links(model)
+    for name, finger in finger_parts(model).items():
+        if finger in bodies and name not in bodies and name in from_mjcf:
+            bodies[finger].append(name)  # the finger's link has its shapes, but MJCF keeps its body
     for a, b in combinations(solid, 2):
         groups = frozenset((group_of[a], group_of[b]))
         if len(groups) == 1 or groups in joined or scene.is_allowed(a, b):
-            spec.add_exclude(name=f"{a}|{b}", bodyname1=a, bodyname2=b)
+            for first, second in product(bodies[a], bodies[b]):
+                spec.add_exclude(name=f"{first}|{second}", bodyname1=first, bodyname2=second)
 
 
 def add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: PhysicsSettings) -> None:
