@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 from armcell.collision import ExactChecker
 from armcell.core import SE3, Box
 from armcell.core.geometry import local_bounds
+from armcell.execution import ExecutionSettings
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, Group, RobotModel, SuctionGripper
 from armcell.scene import CollisionObject, PlanningScene
 
 SAMPLES = 2000  # random states that measure the arm's reach
+G = 9.81  # [m/s^2]
+SETTLES = 1e-3  # [rad] at which the friction of a joint stops a soft servo (sim/robot.py)
 SMALL = 0.6  # [m] arms with a smaller reach move less up and down
 GAP = 0.002  # [m] between the robot's base and the table
 THICK = 0.04  # [m] of the table top
@@ -88,10 +91,11 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
     if len(arms) == 1 and not is_high:
         shoulder = shoulder * [0.0, 0.0, 1.0]  # the only arm works around the robot's base
         reach = _reach(model, arms, shoulder)
-    common = {"name": model.name, "robot": robot, "settings": _settings(reach), "thick": THICK,
+    edge = round(min(map(_edge, model.grippers.values()), default=0.0), 3)
+    sag = max((_sag(model, arm, 800 * edge**3) for arm in arms), default=0.0)
+    common = {"name": model.name, "robot": robot, "settings": _settings(reach, sag), "thick": THICK,
               "xacro": f"xacro_args: {_inline(xacro_args)}\n" if xacro_args else ""}  # fmt: skip
     if model.grippers:
-        edge = round(min(map(_edge, model.grippers.values())), 3)
         pick = PICK_WITH.format(arm=arms[0].name) if len(arms) > 1 else PICK
         around = _around(model, shoulder, reach, bottom)
         for layout in _in_front(model, shoulder, reach) if is_high else around:
@@ -186,15 +190,33 @@ def _edge(gripper: Gripper) -> float:
     return min(0.05, 0.6 * gripper.max_width)
 
 
-def _settings(reach: float) -> str:
-    """Return the block `settings` for the starter cell of a small arm.
-    Straight approach and lift distances are a tenth of the reach.
+def _settings(reach: float, sag: float) -> str:
+    """Return the block `settings` for the starter cell of a small arm or of an arm with soft servos.
+    Straight approach and lift distances of a small arm are a tenth of the reach.
     """
-    if reach >= SMALL:
-        return ""
-    names = ("approach_distance", "lift_distance", "lower_distance", "retreat_distance")
-    entries = ", ".join(f"{name}: {reach / 10:.3f}" for name in names)
-    return f"settings: {{{entries}}}   # [m] of a small arm\n"
+    entries, why = [], []
+    if reach < SMALL:
+        names = ("approach_distance", "lift_distance", "lower_distance", "retreat_distance")
+        entries += [f"{name}: {reach / 10:.3f}" for name in names]
+        why.append("[m] of a small arm")
+    if sag > ExecutionSettings.goal_tolerance:
+        entries.append(f"execution: {{goal_tolerance: {sag:.3f}}}")
+        why.append("[rad] the arm's servos are soft")
+    return f"settings: {{{', '.join(entries)}}}   # {'; '.join(why)}\n" if entries else ""
+
+
+def _sag(model: RobotModel, arm: Group, mass: float) -> float:
+    """Return by how much [rad] the joints of a stretched-out arm may miss their targets while the arm holds
+    the cube of the starter cell, with a margin of 50 %. It is 0 without servos of an MJCF file.
+
+    A proportional servo gives way by load / stiffness.
+    """
+    found, lever = 0.0, 0.0
+    for joint in reversed(model.chain(str(arm.base_link), str(arm.tip_link))):
+        if joint.servo is not None and joint.type != "prismatic":
+            found = max(found, mass * G * lever / joint.servo.kp + SETTLES)
+        lever += float(np.linalg.norm(joint.T_parent_joint.translation))
+    return 1.5 * found
 
 
 def _direction(angle_deg: float) -> NDArray[np.float64]:

@@ -26,6 +26,7 @@ from armcell.sim.shapes import (
 )
 
 EXCLUDED = 1e-3  # [rad or m] by which a mimic joint's limits may miss the range of its coupling
+STUCK = 1e-3  # [rad or m] from the target, at which the friction of a joint with an MJCF servo stops it
 FINGER_INERTIA = 2.0  # [kg] largest armature of a hand's joint, as mass at the pads (Menagerie's 2F-85: 1.5)
 
 
@@ -276,6 +277,9 @@ def add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: PhysicsS
         if np.isfinite(joint.limits.effort) and joint.limits.effort > 0:
             actuator.forcelimited = True
             actuator.forcerange = [-joint.limits.effort, joint.limits.effort]
+        if joint.servo is not None:  # real controllers compensate friction: soft servos would stop early
+            moved = spec.joint(name)
+            moved.frictionloss = min(moved.frictionloss, STUCK * drive.kp)
 
 
 def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settings: PhysicsSettings) -> None:
