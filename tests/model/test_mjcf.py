@@ -228,6 +228,17 @@ def test_joints_without_an_actuator_are_named(tmp_path, caplog):
     assert "joints without an actuator: pan" in caplog.text
 
 
+def test_moving_links_without_collision_geometry_are_named(tmp_path, caplog):
+    """As in Menagerie's `mjx_panda.xml`, whose arm would go through obstacles."""
+    mesh = '<geom type="mesh" mesh="tip"'
+    assert mesh in ARM
+    with caplog.at_level(logging.WARNING):
+        load_mjcf(arm(tmp_path))
+        assert "collision geometry" not in caplog.text
+        load_mjcf(arm(tmp_path, ARM.replace(mesh, mesh + ' contype="0" conaffinity="0"')))
+    assert "links without collision geometry: fore" in caplog.text
+
+
 def test_a_joint_that_only_a_spring_holds_rests(tmp_path):
     """Soft fingertips are no joints of the arm (Hello Robot Stretch); physics keeps their joints."""
     soft = '<joint name="soft" axis="0 1 0" stiffness="3" springref="20"/><joint name="elbow"'

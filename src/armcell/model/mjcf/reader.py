@@ -87,7 +87,7 @@ class _Reader:
         self.report_undriven()
         known = {n: {j: q for j, q in key.items() if joints[j].movable} for n, key in self.found.keys.items()}
         part = MjcfPart(self.source.text, root, frozenset(links), "", known)
-        return RobotModel(
+        model = RobotModel(
             self.name,
             root,
             links,
@@ -96,6 +96,20 @@ class _Reader:
             source=str(self.file),
             mjcf=(part,),
         )
+        self.report_bare(model)
+        return model
+
+    def report_bare(self, model: RobotModel) -> None:
+        """Warn about links with visual shapes that neither planning nor physics checks for collisions."""
+        groups = [g for g in model.rigid_groups if any(model.links[name].collisions for name in g)]
+        solid = {name for group in groups for name in group}
+        bare = [name for name, link in model.links.items() if link.visuals and name not in solid]
+        if bare:
+            logger.warning(
+                "%s: links without collision geometry: %s (armcell does not check them for collisions: their "
+                "geoms have contype 0 and conaffinity 0)",
+                self.file, ", ".join(bare),
+            )  # fmt: skip
 
     def disabled(self) -> dict[frozenset[str], str]:
         """Read from an MJCF file the link pairs without collision checks: adjacent bodies,
