@@ -218,6 +218,10 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
         raise InputError("is not a mapping", file=file, element="grippers")
     if sum(key in data for key in _SOURCES) != 1:
         raise InputError("needs one of 'urdf', 'mjcf' and 'parts'", file=file)
+    for key in ("root", "visual_as_collision"):
+        if key in data and "parts" in data:
+            hint = "set the key in the robot.yaml of the part"
+            raise InputError("does not apply to a robot of parts", file=file, element=key, hint=hint)
     name = str(data.get("name", folder.resolve().name))  # resolved: independent of the working folder
     if "parts" not in data:
         if "mjcf" in data:
@@ -252,16 +256,20 @@ def _with_visuals_as_collisions(model: RobotModel, names: Any, file: Path) -> Ro
     draw a link, but give it no collision shape.
     """
     where = {"file": file, "element": "visual_as_collision"}
-    if not isinstance(names, list):
-        raise InputError("is not a list of links", **where)
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError("is not a list of link names", **where)
     links = dict(model.links)
+    built = {name for part in model.mjcf for name in part.links}
     for name in names:
         if name not in links:
-            raise UnknownNameError("link", str(name), links, **where)
+            raise UnknownNameError("link", name, links, **where)
         link = links[name]
+        if name in built:  # physics uses its body unchanged
+            hint = "let its geoms collide (contype, conaffinity)"
+            raise InputError(f"link {name!r} is a body of an MJCF file", **where, hint=hint)
         if link.collisions or not link.visuals:
             has = "collision shapes already" if link.collisions else "no visual shapes"
-            raise InputError(f"link {name!r} has {has}", **where)
+            raise InputError(f"link {name!r} has {has}", **where, hint="omit the link")
         solids = tuple(Collision(_shape(visual), visual.T_link_visual) for visual in link.visuals)
         links[name] = replace(link, collisions=solids)
     return replace(model, links=links)
