@@ -42,12 +42,12 @@ def with_follower_text(text: str, model: RobotModel, drive: str, follower: str) 
     for upper, lower in ((0, 1), (1, 0)):
         if children[lower] in model.subtree(children[upper]):
             names = (drive, follower)
-            text = f"follower: joint {names[upper]} also moves the link that {names[lower]} moves"
-            raise InputError(text, hint="name two joints that move separate jaws")
+            reason = f"follower: joint {names[upper]} also moves the link that {names[lower]} moves"
+            raise InputError(reason, hint="name two joints that move separate jaws")
     kinds = ["slides" if model.joints[name].type == "prismatic" else "rotates" for name in (drive, follower)]
     if kinds[0] != kinds[1]:
-        text = f"{follower} cannot follow {drive}: joint {drive} {kinds[0]}, and joint {follower} {kinds[1]}"
-        raise InputError(f"follower: {text}", hint="add a <mimic> element with a multiplier to the URDF")
+        reason = f"{follower} cannot follow {drive}: {drive} {kinds[0]}, and joint {follower} {kinds[1]}"
+        raise InputError(f"follower: {reason}", hint="add a <mimic> element with a multiplier to the URDF")
     multiplier = _multiplier(model, drive, follower)
     root = parse_xml(text, NOWHERE)
     element = next(e for e in root.iterfind("joint") if e.get("name") == follower)
