@@ -35,6 +35,7 @@ TILT = 0.05  # [rad] maximum tilt of a grasp or placement about each of two axes
 SETTLED = 5e-4, 1e-2  # [m], [rad] from the pose that the checks of a grasp return to a pose in reach
 ROUNDS = 3  # alternations between these checks and inverse kinematics
 ALIKE = 1e-3, 2e-2  # [m], [rad] nearer grasps count as one
+OUT_OF_REACH = "out of reach, however the hand turns about the object"
 PITCHES = np.deg2rad([15.0, 30.0, 45.0]).tolist()  # [rad] of rotated grasps, about the closing axis
 
 
@@ -79,7 +80,7 @@ def grasps_in_reach(
     Args:
         grasps: grasp candidates, best first.
         enough: number of reached grasps at which the search for replacements ends.
-        reject: reports the name of a grasp that has no replacement, and the reason.
+        reject: receives the name of each grasp that no rotation about an axis replaces, and the reason.
     """
     ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
     found: list[Grasp] = []
@@ -89,21 +90,27 @@ def grasps_in_reach(
         solutions = ik.solutions(T_world_tcp, scene.positions, np.random.default_rng(0))
         (missed if next(solutions, None) is None else found).append(grasp)
     uses: Counter[str] = Counter()
+    reasons: dict[str, str] = {}
+    replaced: set[str] = set()
     for family in _families(scene, gripper, item, grasps, missed):
         if len(found) >= enough:
             break
-        reason = "out of reach, however the hand turns about the object"
+        names, reason = [grasp.name for grasp, _ in family.turns], OUT_OF_REACH
         for other in _rotated_grasps(scene, gripper, item, family):
             if isinstance(other, Rejection):
                 reason = other.reason
                 continue
-            reason = ""
+            replaced.update(names if not family.pitch else ())
             if not any(_alike(other, known) for known in found):
                 uses[other.name] += 1
                 number = f" ({uses[other.name]})" if uses[other.name] > 1 else ""
                 found.append(replace(other, name=f"{other.name}{number}"))
-        for grasp, _ in family.turns if reason and not family.pitch else ():
-            reject(grasp.name, reason)
+        for name in names if not family.pitch else ():
+            if reasons.get(name, OUT_OF_REACH) == OUT_OF_REACH:
+                reasons[name] = reason
+    for name, reason in reasons.items():
+        if name not in replaced:
+            reject(name, reason)
     return sorted(found, key=lambda grasp: -grasp.score)
 
 
