@@ -114,8 +114,12 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Layout of a starter cell: the table, the robot's start states, and the positions (2,) [m] of the cube
-    and of its goal.
+    """Layout of a starter cell, in the frame of the robot's base.
+
+    Attributes:
+        start: name of the start state of each planning group.
+        cube, goal: (2,) [m] positions of the cube and of the mat on which the task places it.
+        raised: whether the table is beside a robot that stands on the floor, not below the robot.
     """
 
     table: CollisionObject

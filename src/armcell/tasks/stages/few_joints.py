@@ -40,7 +40,9 @@ PITCHES = np.deg2rad([15.0, 30.0, 45.0]).tolist()  # [rad] of rotated grasps, ab
 
 
 def has_few_joints(model: RobotModel, gripper: Gripper) -> bool:
-    """Return whether the arm of a gripper has too few joints to reach any orientation at a position."""
+    """Return whether the arm of a gripper has fewer than six joints, so that it reaches only some
+    orientations at a position.
+    """
     return len(model.group(gripper.arm_group).joint_names) < POSE_JOINTS
 
 
@@ -115,7 +117,9 @@ def grasps_in_reach(
 
 
 def _lacks_two(scene: PlanningScene, gripper: Gripper) -> bool:
-    """Return whether an arm does not reach every pose of an object that may rotate freely about one axis."""
+    """Return whether an arm has fewer than five joints. Even if a pose may rotate freely about one axis, such
+    an arm does not reach every pose.
+    """
     return len(scene.model.group(gripper.arm_group).joint_names) < POSE_JOINTS - 1
 
 
@@ -224,11 +228,15 @@ def placements_in_reach(
     scene: PlanningScene, gripper: Gripper, item: CollisionObject, support: CollisionObject,
     placement: Placement,
 ) -> Iterator[tuple[Placement, SE3, float]]:  # fmt: skip
-    """Yield copies of a placement of the held object that an arm with few joints reaches, each rotated about
-    the surface normal; the pose T_world_object at which the hand releases the object; and the angle [rad].
+    """Yield copies of a placement of the held object, each rotated about the surface normal to a pose that an
+    arm with few joints reaches.
 
     The hand may hold the object at an angle, so such an arm reaches the placement at few angles only, or with
     a small tilt. A tilted object is released higher, so that no corner is below the support's surface.
+
+    Yields:
+        The rotated placement, the pose T_world_object at which the hand releases the object, and the angle
+        [rad] of the rotation.
     """
     T_tcp_object = scene.frame_pose(gripper.tcp_link).inverse() @ scene.frame_pose(item.name)
     T_world_axis, normal = placement_axis(item, placement), np.array(placement.normal)
