@@ -72,8 +72,8 @@ class FoundPackage:
 
 
 def extra_hint(package: str) -> str:
-    """Return a hint on how to install a package of robot descriptions with one of armcell's extras."""
-    return f"{package} contains the description of the robot: pip install 'armcell[{EXTRAS[package]}]'"
+    """Return the command that installs a package of robot descriptions with one of armcell's extras."""
+    return f"pip install 'armcell[{EXTRAS[package]}]'"
 
 
 def search_folders() -> list[Path]:
