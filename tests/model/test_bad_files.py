@@ -192,6 +192,16 @@ def test_bad_robot_yaml(tmp_path, text, reason):
     assert "\n" not in str(error.value)
 
 
+def test_a_missing_visual_mesh_is_an_error_if_it_is_a_collision_shape(tmp_path):
+    mesh = '<visual><geometry><mesh filename="no.stl"/></geometry></visual>'
+    box = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="a">{box}{mesh}</link></robot>')
+    assert len(load_robot(tmp_path / "r.urdf").links["a"].visuals) == 1
+    (tmp_path / "robot.yaml").write_text("urdf: r.urdf\nvisual_as_collision: [a]\n")
+    with pytest.raises(InputError, match=r"no\.stl"):
+        load_robot(tmp_path)
+
+
 def test_a_link_of_an_mjcf_file_keeps_its_collision_shapes(tmp_path):
     geom = '<geom type="sphere" size="0.1" contype="0" conaffinity="0"/>'
     body = f'<body name="a">{geom}<joint name="j" range="-1 1"/></body>'
