@@ -173,3 +173,15 @@ def test_overlapping_solids_of_one_mesh_stay_what_they_are():
     wall = trimesh.creation.box((0.01, 0.04, 0.06), T)
     pieces = object_decomposition.object_pieces(mesh_of(trimesh.util.concatenate([foot, wall])))
     assert sorted(volume([piece]) for piece in pieces) == pytest.approx([foot.volume * 0.75, foot.volume])
+
+
+def test_a_piece_without_surface_has_no_depth():
+    """A cut can leave a cell that is entirely inside the solid: only its corners are left."""
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    vertices, faces = np.array(box.vertices), np.array(box.faces, np.int32)
+    none = np.empty((0, 3, 3))
+    piece = object_decomposition._Piece(
+        none, none, object_decomposition._reflex_edges(vertices, faces), np.empty((0, 4)), vertices, 1e-3
+    )
+    object_decomposition._Work(1000, vertices, faces).measure_depth(piece)
+    assert piece.depth == 0.0

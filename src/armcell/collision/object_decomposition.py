@@ -140,6 +140,8 @@ class _Work:
 
         points = np.unique(piece.triangles.reshape(-1, 3), axis=0)
         piece.depth = 0.0
+        if not len(points):  # the piece is inside the solid
+            return
         try:
             planes = np.unique(ConvexHull(piece.points).equations.round(9), axis=0)
         except (QhullError, ValueError):

@@ -15,7 +15,7 @@ from tests.drivers.franka.emulated import emulator, operate
 from armcell.core import ArmcellError, InputError, JointTrajectory
 from armcell.drivers import DriverOptions
 from armcell.drivers.execution_handle import ExecutionHandle
-from armcell.drivers.franka.arm import FrankaArm
+from armcell.drivers.franka.arm import REALTIME, FrankaArm
 from armcell.drivers.franka.client import FciClient
 from armcell.drivers.franka.wire import commands as wire
 from armcell.drivers.real import RealDriver
@@ -74,6 +74,17 @@ def moving(live: RealDriver, arm: FrankaArm) -> ExecutionHandle:
     raise AssertionError(f"the arm does not begin to move: {live.safety_events}")
 
 
+def followed(live: RealDriver, arm: FrankaArm) -> tuple[ExecutionHandle, np.ndarray]:
+    """A swing to its end, and where it ends; a busy machine may miss 20 commands, which stops the arm."""
+    for _ in range(3):
+        goal = arm.setpoint()[0] + AMPLITUDE
+        following = live.follow(swing(arm))
+        if wait(following) == "done" or REALTIME not in str(live.fault()):
+            break
+        live.resume()
+    return following, goal
+
+
 def franka(live: RealDriver) -> FrankaArm:
     arm = live.arms["arm"]
     assert isinstance(arm, FrankaArm)
@@ -87,9 +98,8 @@ def measured(host: str) -> np.ndarray:
 def test_a_trajectory_moves_the_arm_and_the_hand_grasps(host):
     with driver(host) as live:
         arm = franka(live)
-        goal = arm.setpoint()[0] + AMPLITUDE
-        following = live.follow(swing(arm))
-        assert wait(following) == "done", live.fault()
+        following, goal = followed(live, arm)
+        assert following.state() == "done", live.fault()
         assert following.trajectory_time() == pytest.approx(1.5)
         assert np.abs(measured(host) - goal).max() < 1e-3
         assert np.abs(live.joint_state().positions[:7] - goal).max() < 1e-3
