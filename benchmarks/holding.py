@@ -22,6 +22,7 @@ import armcell
 from armcell.cell import cell_names, run_task
 from armcell.core import SE3, Box
 from armcell.kinematics import kinematic_tree
+from armcell.model import SuctionGripper
 from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.sim import SimWorld
 from armcell.sim import friction as held_object_correction
@@ -44,6 +45,7 @@ class Load:
 
 
 CUBE = (0.05, 0.05, 0.05)
+PLATE = (0.2, 0.03)  # width and height of a load for suction cups, which are too far apart for a cube
 LOADS = (
     Load("cube 0.1 kg", CUBE, 0.1),
     Load("cube 2 kg", CUBE, 2.0),
@@ -58,10 +60,13 @@ def creep(cell: armcell.Cell, gripper: str, load: Load, seconds: float) -> tuple
         RuntimeError: the hand does not hold the load.
     """
     scene = PlanningScene.of(cell.model).with_positions(cell.scene().positions)
-    T = kinematic_tree(cell.model).link_pose(scene.positions, cell.model.grippers[gripper].tcp_link)
-    place = T @ SE3.from_xyz(load.offset, 0.0, 0.0)
+    hand = cell.model.grippers[gripper]
+    T = kinematic_tree(cell.model).link_pose(scene.positions, hand.tcp_link)
+    cups = isinstance(hand, SuctionGripper)
+    size = (load.size[0], *PLATE) if cups else load.size
+    place = T @ SE3.from_xyz(load.offset, 0.0, size[2] / 2 if cups else 0.0)  # jaws hold the middle
     item = CollisionObject.single(
-        "load", Box(*load.size), place, movable=True, mass=load.mass, material=Material(friction=0.6)
+        "load", Box(*size), place, movable=True, mass=load.mass, material=Material(friction=0.6)
     )
     world = SimWorld(scene.with_object(item), cell.physics)
     gravity, settle = world.mj_model.opt.gravity, round(CLOSING / world.timestep)

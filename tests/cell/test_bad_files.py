@@ -78,6 +78,7 @@ BAD = {
     "transfer look": (
         HEAD + CUBE + "task: [{transfer: {object: cube, on: cube, look: eye}}]\n", "task/0", "camera 'eye'"),
     "unknown arm": (HEAD + CUBE + "task: [{pick: cube, arm: arn}]\n", "task/0", "did you mean 'arm'"),
+    "state of the hand": (HEAD + "task: [{move: open, arm: arm}]\n", "task/0", "named state 'open'"),
     "arm of a look": (HEAD + "task: [{look: eye, arm: arm}]\n", "task/0", "'look' has no 'arm'"),
     "two steps in one": (HEAD + CUBE + "task: [{pick: cube, hold: 1}]\n", "task/0", "exactly one"),
     "negative hold": (HEAD + "task: [{hold: -1}]\n", "task/0/hold", "greater"),

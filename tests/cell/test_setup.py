@@ -21,7 +21,7 @@ from armcell.cli.new import write_starter
 from armcell.collision import ExactChecker
 from armcell.collision.self_collision import link_pairs
 from armcell.core import Cylinder, InputError, NamedGoal, PlanRequest
-from armcell.model import MoveItConfig, load_robot, parse_urdf
+from armcell.model import Gripper, MoveItConfig, load_robot, parse_urdf
 from armcell.model.setup import UrdfPart, srdf_of, srdf_text, with_groups
 from armcell.model.setup.gripper_detection import GripperSpec
 from armcell.model.srdf import with_srdf_text
@@ -219,14 +219,22 @@ def test_the_same_seed_gives_the_same_files(tmp_path):
     )
 
 
-def test_states_at_the_end_of_a_range_stay_within_limits_when_written():
-    """Limits of 30 degrees with nine digits, as in the fingers of TIAGo's hand."""
+@pytest.mark.parametrize("is_known", (False, True))
+def test_states_at_the_end_of_a_range_stay_within_limits_when_written(is_known):
+    """Limits of 30 and 150 degrees with twelve digits, as in the fingers of TIAGo's hand."""
     limit = '<limit lower="-0.523598775598" upper="2.61799387799" velocity="1" effort="1"/>'
     box = collision('<box size="0.02 0.02 0.1"/>')
-    fingers = [part for n in "ab" for part in (link(n, box), joint(f"f{n}", "l3", n, limit=limit))]
+    fingers = [part for n in "ab"[is_known:] for part in (link(n, box), joint(f"f{n}", "l3", n, limit=limit))]
     rows = [part for i in range(1, 4) for part in (link(f"l{i}", box), joint(f"j{i}", f"l{i - 1}", f"l{i}"))]
-    model = with_poses(with_groups(parse_urdf(robot(link("l0"), *rows, *fingers), Path("r.urdf"))))
-    read = with_srdf_text(model, srdf_text(srdf_of(model)), "r.srdf")
+    model = with_groups(parse_urdf(robot(link("l0"), *rows, *fingers), Path("r.urdf")), jaws=("fa", "fb"))
+    if is_known:
+        gripper = Gripper(
+            name="gripper", arm_group="arm", group="gripper", joint_name="fb", tcp_link="l3",
+            finger_links=("l3", "b"), hand_links=("l3", "b"), width_per_joint=0.1, max_width=0.261799387799,
+        )  # fmt: skip
+        model = replace(model, grippers={"gripper": gripper})
+    model = with_poses(model)
+    read = with_srdf_text(model, srdf_text(srdf_of(model)), Path("r.srdf"))
     for name in ("open", "close"):
         state = read.named_state("gripper", name)
         read.check_positions(state.positions, state.joint_names)

@@ -100,6 +100,7 @@ def test_wrong_usage_names_the_option_and_a_near_one(capsys):
         (("bringup", "panda_pick", "--yes"), "the cell has no real arms"),
         (("ur-controller", "--host", "127.0.9.9", "--host", "127.0.9.9"), "two arms have the same address"),
         (("new", "a" * 300, "--robot", "panda"), "File name too long"),
+        (("new", "cell", "--robot", "parallel_gripper"), "robot 'parallel_gripper' has no arm"),
         (("ur-controller", "--model", "UR99"), "unknown UR model 'UR99'; known: UR10, UR10e"),
     ],
 )

@@ -25,10 +25,12 @@ def bowl() -> trimesh.Trimesh:
 
 @pytest.mark.parametrize("mesh", [bowl(), trimesh.creation.torus(0.1, 0.03, 64, 64)], ids=["open", "closed"])
 def test_a_tree_gives_the_sum_over_all_triangles(mesh, monkeypatch):
-    points = np.random.default_rng(1).uniform(-0.15, 0.15, (2000, 3))
-    plain = WindingNumbers(mesh.vertices, mesh.faces)(points)
+    points = np.random.default_rng(1).uniform(-0.15, 0.15, (1000, 3))
+    sums, trees = (WindingNumbers(mesh.vertices, mesh.faces) for _ in range(2))
+    plain = sums(points)
     monkeypatch.setattr(winding, "TREE", 0)
-    assert np.allclose(WindingNumbers(mesh.vertices, mesh.faces)(points), plain, atol=1e-12)
+    assert np.allclose(trees(points), plain, atol=1e-12)
+    assert sums._tree is None and trees._tree is not None
     assert 0.02 < (plain > 0.5).mean() < 0.5
 
 
@@ -36,4 +38,6 @@ def test_triangles_that_share_no_vertices(monkeypatch):
     soup = trimesh.creation.icosphere(3).triangles.reshape(-1, 3)
     faces = np.arange(len(soup)).reshape(-1, 3)
     monkeypatch.setattr(winding, "TREE", 0)
-    assert np.allclose(WindingNumbers(soup, faces)([[0, 0, 0], [2, 0, 0], [0.9, 0, 0]]), [1, 0, 1])
+    numbers = WindingNumbers(soup, faces)
+    assert np.allclose(numbers([[0, 0, 0], [2, 0, 0], [0.9, 0, 0]]), [1, 0, 1])
+    assert numbers._tree is not None and len(numbers._tree.border) == 0  # no border saves time

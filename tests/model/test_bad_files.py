@@ -134,7 +134,10 @@ ROBOT_YAML = [
     ("urdf: r.urdf\nsrfd: r.srdf\n", r"unknown key 'srfd'.*did you mean 'srdf'"),
     ("urdf: no.urdf\n", "urdf: .*no.urdf not found"),
     ("urdf: r.urdf\nroot: x\n", "unknown link 'x'"),
-    ("urdf: r.urdf\nvisual_as_collision: x\n", "visual_as_collision: is not a list of links"),
+    ("urdf: r.urdf\nvisual_as_collision: x\n", "visual_as_collision: is not a list of link names"),
+    ("urdf: r.urdf\nvisual_as_collision: [[a]]\n", "visual_as_collision: is not a list of link names"),
+    ("parts: [{robot: scara}]\nvisual_as_collision: [a]\n", "visual_as_collision: does not apply to a robot"),
+    ("parts: [{robot: scara}]\nroot: a\n", "root: does not apply to a robot of parts"),
     ("urdf: r.urdf\nvisual_as_collision: [x]\n", "unknown link 'x'"),
     ("urdf: r.urdf\nvisual_as_collision: [a]\n", "link 'a' has no visual shapes"),
     ("urdf: r.urdf\nsrdf: no.srdf\n", "no.srdf: file not found"),
@@ -187,6 +190,25 @@ def test_bad_robot_yaml(tmp_path, text, reason):
     with pytest.raises(InputError, match=reason) as error:
         load_robot(tmp_path)
     assert "\n" not in str(error.value)
+
+
+def test_a_missing_visual_mesh_is_an_error_if_it_is_a_collision_shape(tmp_path):
+    mesh = '<visual><geometry><mesh filename="no.stl"/></geometry></visual>'
+    box = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="a">{box}{mesh}</link></robot>')
+    assert len(load_robot(tmp_path / "r.urdf").links["a"].visuals) == 1
+    (tmp_path / "robot.yaml").write_text("urdf: r.urdf\nvisual_as_collision: [a]\n")
+    with pytest.raises(InputError, match=r"no\.stl"):
+        load_robot(tmp_path)
+
+
+def test_a_link_of_an_mjcf_file_keeps_its_collision_shapes(tmp_path):
+    geom = '<geom type="sphere" size="0.1" contype="0" conaffinity="0"/>'
+    body = f'<body name="a">{geom}<joint name="j" range="-1 1"/></body>'
+    (tmp_path / "r.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    (tmp_path / "robot.yaml").write_text("mjcf: r.xml\nvisual_as_collision: [a]\n")
+    with pytest.raises(InputError, match="link 'a' is a body of an MJCF file"):
+        load_robot(tmp_path)
 
 
 def test_an_empty_prefix_is_no_prefix(tmp_path):

@@ -84,6 +84,13 @@ def test_fingers_with_as_many_joints_as_the_arm_are_fingers():
     assert len(model.groups["arm"].joint_names) == 7 and len(model.groups["gripper"].joint_names) == 33
 
 
+def test_a_torso_with_three_arms_is_no_hand():
+    arms = [part for n in "abc" for part in arm(6, f"{n}_", "chest")]
+    torso = [link("base"), *arm(3), link("chest", BOX), joint("neck", "l3", "chest", "fixed")]
+    model = with_groups(model_of(*torso, *arms))
+    assert sorted(len(g.joint_names) for g in model.groups.values() if g.tip_link) == [6, 6, 6]
+
+
 def test_a_head_beside_the_arm_ends_no_arm():
     """Rethink's Sawyer carries its display on the first moving link."""
     head = [link("head", BOX), joint("head_pan", "l1", "head")]

@@ -190,10 +190,13 @@ def test_a_follower_must_be_another_driven_joint_of_a_jaw():
     for drive, follower, reason in (
         ("left_finger", "left_finger", "cannot follow itself"),
         ("left_finger", "right", "unknown driven joint 'right'"),
-        ("left_finger", "j4", "j4 moves the link that left_finger moves"),
+        ("left_finger", "j4", "j4 also moves the link that left_finger moves"),
     ):
         with pytest.raises(InputError, match=reason):
             with_follower_text(text, model, drive, follower)
+    turning = [part.replace("prismatic", "revolute") if '"right_finger"' in part else part for part in parts]
+    with pytest.raises(InputError, match="left_finger slides, and joint right_finger rotates"):
+        with_follower_text(robot(*turning), model_of(*turning), "left_finger", "right_finger")
     with pytest.raises(InputError, match="follower needs drive"):
         GripperSpec.parse("follower=right_finger")
 

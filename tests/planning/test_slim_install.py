@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 FILE = ROOT / "requirements-planning.txt"
 MODULES = {"pycollada": "collada", "pyyaml": "yaml"}
@@ -48,6 +50,7 @@ def test_the_pins_are_those_of_the_whole_install():
     assert pins(FILE).items() <= pins(ROOT / "requirements.txt").items()
 
 
+@pytest.mark.slow
 def test_planning_imports_no_other_package():
     allowed = {MODULES.get(name, name) for name in pins(FILE)} | REQUIRED_BY_THOSE | {"armcell"}
     run = subprocess.run(

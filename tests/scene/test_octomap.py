@@ -233,3 +233,5 @@ def test_no_file(tmp_path):
         load_octree(tmp_path / "a.bt")
     with pytest.raises(InputError, match="regular file"):
         load_octree(tmp_path)
+    with pytest.raises(InputError, match="cannot be read: File name too long"):
+        load_octree(tmp_path / ("a" * 300 + ".bt"))

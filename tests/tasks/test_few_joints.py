@@ -17,6 +17,7 @@ from armcell.kinematics import ik_solver
 from armcell.model import Gripper, Group, RobotModel
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks import TaskSettings
+from armcell.tasks.stages import few_joints
 from armcell.tasks.stages.few_joints import TILT, grasps_in_reach, placements_in_reach
 
 EDGE = 0.045  # [m] of the cube, and diameter of the can; the jaws open 80 mm
@@ -121,11 +122,23 @@ def test_some_grasp_is_in_reach_whatever_the_turn(kind, yaw):
         assert EDGE - 1e-3 < grasp.width <= grasp.opening <= gripper().max_width
 
 
-def turned(kind: str, degrees: float, item: CollisionObject | None = None):
-    """The best grasp from above, with the hand turned about the vertical."""
+def test_a_grasp_with_a_replacement_is_not_rejected(monkeypatch):
+    """Of two rotations of one grasp, the gripper holds the object only at the first."""
+    scene = scene_with("cube", 0.3)
+    item = scene.object("item")
+    grasp = grasp_candidates(item, hand_of(planar_arm(), gripper()))[0][0]
+    answers = [replace(grasp, name="turned"), Rejection("turned", "too wide", 1, 0.0)]
+    monkeypatch.setattr(few_joints, "_rotated_grasps", lambda *_: iter(answers))
+    rejected: dict[str, str] = {}
+    found = few_joints.grasps_in_reach(scene, gripper(), item, [grasp], 1, rejected.__setitem__)
+    assert [g.name for g in found] == ["turned"] and not rejected
+
+
+def turned(kind: str, degrees: float, item: CollisionObject | None = None, name: str = ""):
+    """The best grasp from above or the grasp `name`, with the hand turned about the vertical."""
     item = item or scene_with(kind, 0.0).object("item")
     hand = hand_of(planar_arm(), gripper())
-    grasp = grasp_candidates(item, hand)[0][0]
+    grasp = next(g for g in grasp_candidates(item, hand)[0] if g.name == name or not name)
     axis = SE3.from_xyz(*grasp.T_object_tcp.translation)
     turn = axis @ SE3.from_xyz_rpy((0, 0, 0), (0, 0, np.deg2rad(degrees))) @ axis.inverse()
     return grasp, turned_grasp(item, hand, grasp, "turned", turn @ grasp.T_object_tcp, np.deg2rad(degrees))
@@ -142,6 +155,23 @@ def test_jaws_turn_a_smooth_cube_and_hold_a_rough_one_by_its_edges(degrees, fric
     across = EDGE * (np.cos(np.deg2rad(degrees)) + np.sin(np.deg2rad(degrees)))
     assert other.opening > across
     assert other.width == pytest.approx(grasp.width if friction == 0.2 else across, abs=2e-3)
+
+
+@pytest.mark.parametrize(("name", "degrees", "holds"), [
+    ("top across x", 8.0, True),  # its diagonal is at atan(20/60) = 18 deg
+    ("top across x", 30.0, False),
+    ("top across x", -40.0, False),
+    ("top across y", 40.0, True),
+])  # fmt: skip
+def test_jaws_turn_a_long_box_to_its_narrow_side(name, degrees, holds):
+    item = CollisionObject.single("item", Box(0.06, 0.02, 0.05), movable=True, mass=0.05)
+    item = replace(item, material=replace(item.material, friction=0.1))
+    grasp, other = turned("cube", degrees, item, name)
+    assert grasp.width == pytest.approx(0.06 if name.endswith("x") else 0.02, abs=1e-3)
+    if holds:
+        assert not isinstance(other, Rejection) and other.width == grasp.width
+    else:
+        assert isinstance(other, Rejection) and "slips off" in other.reason
 
 
 def test_a_can_is_held_alike_however_the_hand_turns_about_it():

@@ -261,7 +261,6 @@ class Cell:
             for name in names:
                 if name not in spec.objects:
                     raise UnknownNameError("object", name, spec.objects, file=where, element=f"task/{i}")
-            states = {s for group in self.model.named_states.values() for s in group}
             for name, values in (step.stage or {}).items():
                 try:
                     make_stage(name, values)
@@ -270,6 +269,8 @@ class Cell:
             arms = self.model.arm_groups
             if step.arm is not None and step.arm not in arms:
                 raise UnknownNameError("arm", step.arm, arms, file=where, element=f"task/{i}")
+            groups = self.model.named_states if step.arm is None else (step.arm,)
+            states = {s for group in groups for s in self.model.named_states.get(group, {})}
             if step.move is not None and step.move not in states:
                 raise UnknownNameError("named state", step.move, states, file=where, element=f"task/{i}")
 

@@ -98,7 +98,10 @@ def propose(
     mjcf = _mjcf_file(parts)
     if mjcf is not None:
         if any(fact.follower for fact in grippers):
-            raise InputError("follower: an MJCF file couples joints itself", hint="add a <joint> equality")
+            raise InputError(
+                "follower: armcell adds no couplings to an MJCF file", file=mjcf,
+                hint='couple the joints in the file: <equality><joint joint1="..." joint2="..."/></equality>',
+            )  # fmt: skip
         model = load_mjcf_file(mjcf)
         model = replace(model, name=name or model.name)
         text = urdf_of(model)

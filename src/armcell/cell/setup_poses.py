@@ -65,25 +65,26 @@ def _checker(model: RobotModel) -> ExactChecker:
 
 
 def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]]:
-    """Generate the poses "open" and "close" of a gripper for `armcell setup`, with the gripper's joints at
-    opposite ends of their ranges.
+    """Generate the poses "open" and "close" of a gripper for `armcell setup`: those of a detected gripper, or
+    opposite ends of the joints' ranges.
 
-    Open is the end with the larger mean gap between the moving links. Empty if a joint has no limits.
+    Of the two ends, open is the one with the larger mean gap between the moving links. The result is empty if
+    a joint of an undetected gripper has no limits.
     """
     names = model.groups[group].joint_names
+    limits = [model.joints[n].limits for n in names]
+    ends = [np.array([v.lower for v in limits]), np.array([v.upper for v in limits])]
+    inside = np.ceil(ends[0] * 1e6) / 1e6, np.floor(ends[1] * 1e6) / 1e6  # six decimals within the limits
     known = next((g for g in model.grippers.values() if g.group == group and len(names) == 1), None)
     if known is not None:
-        low, high = model.joints[names[0]].limits.lower, model.joints[names[0]].limits.upper
         at = {"open": known.joint_position(known.max_width), "close": known.joint_position(0.0)}
         # Jaws that cannot close completely stop at their joint's limit.
-        return {state: {names[0]: float(np.clip(round(q, 6), low, high))} for state, q in at.items()}
+        return {state: {names[0]: float(np.clip(round(q, 6), *inside)[0])} for state, q in at.items()}
     checker = _checker(model)
     moving = [n for n in model.groups[group].link_names if _moves(model, n, names)]
     solids = {n: [i for i, g in enumerate(checker.geometries) if g.body == n] for n in model.links}
     others = moving if len(moving) > 1 else list(model.groups[group].link_names)
     rigid = {link: i for i, links in enumerate(model.rigid_groups) for link in links}
-    limits = [model.joints[n].limits for n in names]
-    ends = [np.array([v.lower for v in limits]), np.array([v.upper for v in limits])]
     if not all(np.all(np.isfinite(end)) for end in ends):
         return {}  # a continuous joint has no end positions
     spread = []
@@ -100,7 +101,6 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
         spread.append((min(gaps, default=0.0), float(np.mean(gaps)) if gaps else 0.0))
     wide = ends[1] if spread[1][1] >= spread[0][1] else ends[0]
     narrow = ends[0] if wide is ends[1] else ends[1]
-    inside = np.ceil(ends[0] * 1e6) / 1e6, np.floor(ends[1] * 1e6) / 1e6  # six decimals within the limits
     return {
         state: {n: float(v) for n, v in zip(names, np.clip(end.round(6), *inside), strict=True)}
         for state, end in (("open", wide), ("close", narrow))

@@ -27,7 +27,7 @@ HEIGHTS = (0.0, 0.1, 0.2, 0.4, 0.8)  # [m] tried heights of the robot's base abo
 DISTANCES = (0.5, 0.6, 0.4, 0.7, 0.3)  # tried distances of the object, as fractions of the reach
 ANGLES = (-25.0, 25.0, 0.0, 60.0, -60.0, 90.0, -90.0, 180.0)  # [deg] tried directions from the base
 HIGH = 0.55  # shoulder above the robot's lowest point, as a fraction of the reach: the robot works at a table
-# in front of it. Arms that stand on their table are below 0.5, mobile and two-armed robots above 0.6.
+# in front of it. Arms that stand on their table have at most 0.53 (SCARA); Alex has 0.58, Baxter 0.88.
 DROPS = (0.4, 0.3, 0.5)  # tried heights of the shoulder above that table, as fractions of the reach
 AHEAD = (0.5, 0.6, 0.4)  # tried distances of its middle from the shoulder, as fractions of the reach
 FRONTS = (0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0, 180.0)  # [deg] tried directions of that table
@@ -118,8 +118,12 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Layout of a starter cell: the table, the robot's start states, and the positions (2,) [m] of the cube
-    and of its goal.
+    """Layout of a starter cell, in the frame of the robot's base.
+
+    Attributes:
+        start: name of the start state of each planning group.
+        cube, goal: (2,) [m] positions of the cube and of the mat on which the task places it.
+        raised: whether the table is beside a robot that stands on the floor, not below the robot.
     """
 
     table: CollisionObject

@@ -209,7 +209,7 @@ def main(arguments: list[str] | None = None) -> int:
         if os.environ.get("ARMCELL_DEBUG"):
             raise
         if isinstance(error, OSError) and error.filename is not None:
-            err(f"{error.filename}: {error.strerror}")  # e.g. a full disk, or no write access
+            err(f"{error.filename}: {error.strerror}")  # for example, no write access
             return 1
         err(f"internal error: {type(error).__name__}: {error} (set ARMCELL_DEBUG=1 for the traceback)")
     return 1

@@ -41,6 +41,9 @@ def new(
             f"robot {robot!r} has no planning groups",
             hint=f"armcell setup {robot} -o {folder} finds its arm and gripper and writes a cell",
         )
+    if not model.arm_groups:
+        hint = "mount a hand on an arm (key 'parts' of robot.yaml), or give an SRDF group a chain"
+        raise InputError(f"robot {robot!r} has no arm: no planning group is a chain with a tip", hint=hint)
     named = robot in robot_names()
     path = robot if named else os.path.relpath(Path(robot).resolve(), folder.resolve())
     write_starter(model, path, folder)

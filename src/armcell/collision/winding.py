@@ -17,7 +17,8 @@ class _Tree(NamedTuple):
 
     Node n is the box `low[n]` to `high[n]` of the triangles `first[n]` to `last[n] - 1`. `children[n]` (2,)
     are -1 at leaves. `edges[n]` (2,) is a range of rows of `border`, the edges at which the node's triangles
-    end: start vertex, end vertex, and how often the triangles use this direction more than the other one.
+    end: start vertex, end vertex, and how often the triangles use this direction more than the other one. The
+    range is -1, -1 if the border has at least as many edges as the node has triangles.
     """
 
     triangles: NDArray[np.int64]
@@ -76,7 +77,8 @@ def _tree(vertices, faces) -> _Tree:
         order[first:last] = part[np.argpartition(centers[part, axis], middle)]
         children.append((len(ranges), len(ranges) + 1))
         ranges += [(first, first + middle), (first + middle, last)]
-    triangles, borders = faces[order], [np.empty((0, 3), np.int64)] * len(ranges)
+    none = np.empty((0, 3), np.int64)
+    triangles, borders, short = faces[order], [none] * len(ranges), np.zeros(len(ranges), bool)
     for node in reversed(range(len(ranges))):  # children first
         a, b = children[node]
         if a < 0:
@@ -85,7 +87,11 @@ def _tree(vertices, faces) -> _Tree:
             edges = np.stack([starts, np.roll(ends, -1, axis=1).ravel(), np.ones_like(starts)], axis=1)
         else:
             edges = np.concatenate([borders[a], borders[b]])
+            for child in (a, b):  # long borders of all levels fill the memory if triangles share no vertices
+                borders[child] = borders[child] if short[child] else none
         borders[node] = _without_inner(edges, len(vertices))
+        short[node] = len(borders[node]) < ranges[node][1] - ranges[node][0]
+    borders[0] = borders[0] if short[0] else none
     first, last = np.array(ranges).T
     size = np.cumsum([0, *(len(border) for border in borders)])
     boxes = corners[order]
@@ -96,7 +102,7 @@ def _tree(vertices, faces) -> _Tree:
         first=first,
         last=last,
         children=np.array(children),
-        edges=np.stack([size[:-1], size[1:]], axis=1),
+        edges=np.where(short[:, None], np.stack([size[:-1], size[1:]], axis=1), -1),
         border=np.concatenate(borders),
     )
 
@@ -153,7 +159,7 @@ def _tree_sums(points, vertices, tree):
             for i in range(3):
                 outside |= point[i] < tree.low[n, i] or point[i] > tree.high[n, i]
             start, end = tree.edges[n]
-            if outside and end - start < tree.last[n] - tree.first[n]:
+            if outside and start >= 0:
                 apex = vertices[tree.triangles[tree.first[n], 0]]
                 for e in range(start, end):
                     a, b, uses = tree.border[e]

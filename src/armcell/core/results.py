@@ -153,7 +153,7 @@ def _items(value: Iterable[Any] | NDArray[Any]) -> list[Any]:
     return value.tolist() if isinstance(value, np.ndarray) else list(value)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Outcome:
     """Base class of results: an error code, a one-line message, and named evidence."""
 
@@ -183,8 +183,13 @@ class Outcome:
     def __bool__(self) -> bool:
         return self.ok
 
+    def __repr__(self) -> str:
+        """Return the code and the message in one line; `evidence` contains the details."""
+        more = f": {' '.join(self.message.split())}" if self.message else ""
+        return f"<{type(self).__name__} {self.code.name}{more}>"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class IKResult(Outcome):
     """Result of an inverse kinematics request, with the joint positions (dof,) that were found.
 
@@ -196,7 +201,7 @@ class IKResult(Outcome):
     rotation_error: float = np.inf  # [rad]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PlanResult(Outcome):
     """Result of a planning request, with a path and the trajectory along this path.
 
@@ -219,7 +224,7 @@ class PlanResult(Outcome):
         return self.clearance() if self.clearance is not None else np.inf
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ExecutionResult(Outcome):
     """Result of executing a motion, with times [s] on the driver's clock and the tracking errors."""
 

@@ -41,6 +41,7 @@ SOFT_PATCH = 1.5e-3  # [m] patch radius that scores half as much as a large patc
 EDGE = 1.7  # distance of a patch's edge, in radii of gyration
 SLIPS = 3  # number of checks that a grasp passes before the check for slipping
 ALIGNED = np.pi / 4  # [rad] angle up to which closing jaws turn a square back to its faces
+PARTS = 5  # parts of this turn after which the width of the object is compared
 FAR_LEVER = 0.04  # [m] lever arm of the weight at which the score is halved
 MANY, GOOD = 100, 0.5  # candidates, and score of the best one, that end the sampling of an object's surface
 CONVERGED = 0.02  # gain of the best score by a batch of proposals below which sampling ends
@@ -120,7 +121,8 @@ def turned_grasp(item: CollisionObject, hand: Hand, grasp: Grasp, name: str, T_o
     The checks are those of `grasp_candidates`. They may shift the pose, for example to center the hand. If
     the pads touch the object only at slanted surfaces, closing jaws turn the object until it is as narrow as
     in the candidate's own pose (Goldberg, "Orienting polygonal parts without sensors", 1993). The grasp then
-    holds like the candidate if the angle is at most `ALIGNED`.
+    holds like the candidate if the angle is at most `ALIGNED` and if the object's width decreases throughout
+    the turn. A long box that is gripped near its diagonal turns the other way, to its narrow side.
 
     Args:
         name: name of the rotated grasp.
@@ -136,12 +138,30 @@ def turned_grasp(item: CollisionObject, hand: Hand, grasp: Grasp, name: str, T_o
         found, rejected = evaluate_suction_grasps(item, hand, fitted, up)
         return found[0] if found else rejected[0]
     found, rejected = _judged(item, hand, fitted, up)
-    if found or rejected[0].passed != SLIPS or abs(angle) > ALIGNED:
+    slips = not found and rejected[0].passed == SLIPS and abs(angle) <= ALIGNED
+    if not slips or not _narrows(surface_of(item), hand, up, fitted.poses[0], angle):
         return found[0] if found else rejected[0]
     opening = float(fitted.measures[0, 1])
     moved = SE3.from_matrix(fitted.poses[0]) @ hand.gripper.grip_center(grasp.width, opening).inverse()
     score = grasp.score * (1 - abs(angle) / ALIGNED)
     return replace(grasp, name=name, T_object_tcp=moved, opening=opening, score=score)
+
+
+def _narrows(surface: Surface, hand: Hand, up: Array, pose: Array, angle: float) -> bool:
+    """Return whether an object between the pads becomes narrower and narrower while the hand turns back to
+    the pose of a grasp candidate.
+
+    Args:
+        pose: (4, 4) [m] T_object_tcp of the turned hand, at the center between the pads.
+        angle: [rad] turn about the direction `up` (3,) from the candidate's pose.
+    """
+    back = [SE3(SO3.exp(-share * angle * up), np.zeros(3)).matrix for share in np.linspace(0, 1, PARTS + 1)]
+    at = SE3(SO3.identity(), pose[:3, 3]).matrix
+    poses = [at @ turn @ np.linalg.inv(at) @ pose for turn in back]
+    fitted = _fit(Proposals([str(k) for k in range(len(poses))], poses), surface, hand, up, on_support=True)
+    if isinstance(fitted, SuctionCandidates) or np.any(fitted.verdict != hand_fit_kernel.FREE):
+        return False
+    return bool(np.all(np.diff(fitted.measures[:, 0]) < 0))
 
 
 @dataclass(frozen=True, eq=False)

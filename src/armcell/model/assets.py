@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 EXTRAS = {"example-robot-data": "robots"}
-"""The extra of armcell that installs a package of robot descriptions, by package."""
+"""Extras of armcell that install packages of robot descriptions, by package."""
 MAX_MESH_BYTES = 100_000_000
 MAX_PACKAGE_BYTES = 1_000_000  # size limit of a package.xml
 WORKSPACE_LEVELS = 3  # folders above a robot's package that can be the workspace with the other repositories
@@ -72,8 +72,8 @@ class FoundPackage:
 
 
 def extra_hint(package: str) -> str:
-    """Return how to install a package of robot descriptions from PyPI."""
-    return f"{package} has the robot's meshes: pip install 'armcell[{EXTRAS[package]}]'"
+    """Return the command that installs a package of robot descriptions with one of armcell's extras."""
+    return f"pip install 'armcell[{EXTRAS[package]}]'"
 
 
 def search_folders() -> list[Path]:

@@ -186,7 +186,8 @@ def with_whole_fingers(model: RobotModel) -> RobotModel:
     links, pairs = dict(model.links), dict(model.disabled_collisions)
     for name, finger in finger_parts(model).items():
         if links[name].collisions:
-            T = _at_zero(model, finger).inverse() @ _at_zero(model, name)
+            at, part = (model.pose_at_zero(model.root_link, n) for n in (finger, name))
+            T = at.inverse() @ part
             moved = tuple(replace(c, T_link_shape=T @ c.T_link_shape) for c in links[name].collisions)
             links[finger] = replace(links[finger], collisions=links[finger].collisions + moved)
             links[name] = replace(links[name], collisions=())
@@ -217,14 +218,6 @@ def _join_pairs(pairs: dict[frozenset[str], str], finger: str, part: str, others
             pairs[frozenset((finger, other))] = normal
         elif None in reasons:
             pairs.pop(frozenset((finger, other)), None)
-
-
-def _at_zero(model: RobotModel, link: str) -> SE3:
-    """Return the pose of a link in the root's frame with all joints of the robot at zero."""
-    T = SE3.identity()
-    for joint in model.chain(model.root_link, link):
-        T = T @ joint.T_parent_joint
-    return T
 
 
 def with_tip(model: RobotModel, group: str, link: str) -> RobotModel:

@@ -218,16 +218,23 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
         raise InputError("is not a mapping", file=file, element="grippers")
     if sum(key in data for key in _SOURCES) != 1:
         raise InputError("needs one of 'urdf', 'mjcf' and 'parts'", file=file)
+    for key in ("root", "visual_as_collision"):
+        if key in data and "parts" in data:
+            hint = "set the key in the robot.yaml of the part"
+            raise InputError("does not apply to a robot of parts", file=file, element=key, hint=hint)
+    drawn = data.get("visual_as_collision") or []
+    if not isinstance(drawn, list) or not all(isinstance(link, str) for link in drawn):
+        raise InputError("is not a list of link names", file=file, element="visual_as_collision")
     name = str(data.get("name", folder.resolve().name))  # resolved: independent of the working folder
     if "parts" not in data:
         if "mjcf" in data:
             model = load_mjcf_file(_source_path(data, "mjcf", folder, file))
         else:
             given = {**xacro_texts(data.get("xacro_args"), file), **(xacro_args or {})}
-            model = load_urdf(_source_path(data, "urdf", folder, file), allow_env, folder, given)
+            model = load_urdf(_source_path(data, "urdf", folder, file), allow_env, folder, given, drawn)
         if "root" in data:
             model = rerooted(model, str(data["root"]))
-        model = _with_visuals_as_collisions(model, data.get("visual_as_collision") or [], file)
+        model = _with_visuals_as_collisions(model, drawn, file)
         model = with_adjacent_disabled(model)
     else:
         parts = [_part(p, folder, file, allow_env) for p in data["parts"]]
@@ -247,21 +254,23 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
     return with_whole_fingers(replace(model, grippers=grippers))
 
 
-def _with_visuals_as_collisions(model: RobotModel, names: Any, file: Path) -> RobotModel:
+def _with_visuals_as_collisions(model: RobotModel, names: list[str], file: Path) -> RobotModel:
     """Return the robot with the visual shapes of some links also as their collision shapes. Some descriptions
     draw a link, but give it no collision shape.
     """
     where = {"file": file, "element": "visual_as_collision"}
-    if not isinstance(names, list):
-        raise InputError("is not a list of links", **where)
     links = dict(model.links)
+    built = {name for part in model.mjcf for name in part.links}
     for name in names:
         if name not in links:
-            raise UnknownNameError("link", str(name), links, **where)
+            raise UnknownNameError("link", name, links, **where)
         link = links[name]
+        if name in built:  # physics uses its body unchanged
+            hint = "let its geoms collide (contype, conaffinity)"
+            raise InputError(f"link {name!r} is a body of an MJCF file", **where, hint=hint)
         if link.collisions or not link.visuals:
             has = "collision shapes already" if link.collisions else "no visual shapes"
-            raise InputError(f"link {name!r} has {has}", **where)
+            raise InputError(f"link {name!r} has {has}", **where, hint="omit the link")
         solids = tuple(Collision(_shape(visual), visual.T_link_visual) for visual in link.visuals)
         links[name] = replace(link, collisions=solids)
     return replace(model, links=links)

@@ -417,6 +417,18 @@ class RobotModel:
             link = joints[-1].parent
         return tuple(reversed(joints))
 
+    def pose_at_zero(self, base: str, link: str) -> SE3:
+        """Return the pose T_base_link of a link of the robot model below link `base`, with all joints between
+        them at zero.
+
+        Raises:
+            InputError: `link` is not below `base`.
+        """
+        T = SE3.identity()
+        for joint in self.chain(base, link):
+            T = T @ joint.T_parent_joint
+        return T
+
     @cached_property
     def rigid_groups(self) -> tuple[frozenset[str], ...]:
         """Return the sets of links in the robot model that fixed joints connect rigidly."""

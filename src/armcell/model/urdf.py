@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from itertools import islice
@@ -34,20 +34,23 @@ def load_urdf(
     allow_env: bool | None = None,
     home: Path | None = None,
     xacro_args: Mapping[str, str] | None = None,
+    drawn: Collection[str] = (),
 ) -> RobotModel:
     """Load a robot from a URDF or xacro file. The result has no planning groups.
 
     Args:
         path: the URDF or xacro file.
         allow_env, home, xacro_args: options for xacro files, see `expand_xacro`.
+        drawn: names of links whose visual meshes must exist.
     Raises:
-        InputError: the file is not readable or not a valid URDF.
+        InputError: the file is not readable or not a valid URDF, or a required visual mesh is missing.
     """
     path = Path(path)
     if path.suffix == ".xacro":
         text, places = expand_with_source_locations(path, xacro_args, allow_env, home)
-        return _Reader(path, parse_xml(text, path), places).robot()
-    return parse_urdf(read_text(path), path)
+    else:
+        text, places = read_text(path), ()
+    return _Reader(path, parse_xml(text, path), places, drawn=drawn).robot()
 
 
 def urdf_text(
@@ -81,10 +84,14 @@ class _Reader:
 
     Args:
         places: of the elements in document order, if the URDF is the result of a xacro file.
+        drawn: names of links whose visual meshes must exist.
     """
 
-    def __init__(self, file: Path, root: etree._Element, places: Sequence[Place] = (), warn: bool = True):
-        self.file, self.root, self.warn = file, root, warn
+    def __init__(
+        self, file: Path, root: etree._Element, places: Sequence[Place] = (), warn: bool = True,
+        drawn: Collection[str] = (),
+    ):  # fmt: skip
+        self.file, self.root, self.warn, self.drawn = file, root, warn, drawn
         self.folder = file.resolve().parent
         self.places = dict(zip(root.iter(etree.Element), places)) if places else {}
         self.undrawn: list[str] = []  # errors of visual meshes that are missing
@@ -346,7 +353,8 @@ class _Reader:
     def visual(self, element: etree._Element, materials: dict) -> Visual | None:
         """Return the visual geometry of a URDF element, or None if its mesh file is missing.
 
-        A missing visual mesh only causes a warning, because planning does not use visual geometry.
+        A missing visual mesh only causes a warning, because planning does not use visual geometry, except
+        that of the links in `drawn`.
         """
         material = element.find("material")
         color = None
@@ -357,6 +365,9 @@ class _Reader:
             try:
                 file, scale = self.mesh_file(geometry)
             except InputError as error:
+                link = element.getparent()
+                if link is not None and link.get("name") in self.drawn:
+                    raise
                 self.undrawn.append(str(error))
                 return None
             return Visual(self.origin(element), file=file, scale=scale, color=color)

@@ -26,7 +26,7 @@ HALF_TURN = np.deg2rad(165.0)  # [rad] beyond it, noise determines the sign of t
 LEVER = 0.3  # [m] weight of a rotation error of 1 rad
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class HandEye(Outcome):
     """Result of a hand-eye calibration: the camera pose T_hand_camera
     (eye in hand) or T_base_camera (eye to hand).

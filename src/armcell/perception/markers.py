@@ -57,7 +57,7 @@ class DetectedMarker:
     hidden: bool  # an edge is not straight because it is partly hidden; the pose may be wrong
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MarkerDetections(Outcome):
     """The ArUco markers or AprilTags detected in one camera image."""
 

@@ -71,7 +71,7 @@ class LookSettings:
             raise InputError(f"smallest is {self.smallest} px", hint="10 or more: fewer cannot be fitted")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DetectedObject(Outcome):
     """Object that `look` has detected, with its pose or with the reason why its pose is unknown.
 
@@ -103,7 +103,7 @@ class DetectedObject(Outcome):
         return CollisionObject(name or self.name, self.shapes, self.T_world_object, self.color, movable)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DetectionResult(Outcome):
     """Result of `look`: the detected objects sorted by size, including those without a pose.
 

@@ -49,7 +49,7 @@ class MapSettings:
                 raise InputError(f"{name} is {getattr(self, name):g}, it must be a number >= 0")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MapUpdate(Outcome):
     """Result of adding one camera image or point cloud to an occupancy map."""
 

@@ -6,7 +6,7 @@ The reader accepts both formats, `.ot` with optional colors. The writer produces
 
 from __future__ import annotations
 
-import os
+import stat
 from pathlib import Path
 
 import numpy as np
@@ -96,13 +96,14 @@ def octree_from_bytes(
 def read_bytes(path: Path, limit: int) -> bytes:
     """Return the bytes of an octree file, which must be a regular file of at most `limit` bytes."""
     try:
-        if not os.path.isfile(path):
-            raise InputError(
-                "file not found" if not os.path.exists(path) else "is no regular file", file=path
-            )
-        if path.stat().st_size > limit:
+        info = path.stat()
+        if not stat.S_ISREG(info.st_mode):
+            raise InputError("is no regular file", file=path)
+        if info.st_size > limit:
             raise InputError(f"is larger than {limit} bytes", file=path)
         data = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError("file not found", file=path) from None
     except (OSError, ValueError) as error:  # no permission, a name that is too long or has a NUL
         raise InputError(f"cannot be read: {getattr(error, 'strerror', error)}", file=path) from None
     if not data:

@@ -135,7 +135,7 @@ def _unknown(stage: Stage, scene: PlanningScene | None) -> Iterator[str]:
             yield f"no {kind} {name!r}{mean}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TaskPlan(Outcome):
     """Outcome of planning a task: the complete solutions of its stages, cheapest first.
 

@@ -140,7 +140,7 @@ def _follow(
     for first in starts:
         row, ends = _row(model, first)
         below = [_depth(model, j) for j in ends]
-        if ends and not (len(row) >= HAND_AFTER and (max(below) < len(row) or _are_fingers(below))):
+        if ends and not (len(row) >= HAND_AFTER and _are_fingers(below, len(row))):
             _follow(
                 model, row[-1].child, found, names_of_jaws, cups
             )  # `row` is a torso: the arms are further down
@@ -164,11 +164,18 @@ def _follow(
         found.append(ArmChain(driven[0].parent, tip, names, palm))
 
 
-def _are_fingers(depths: list[int]) -> bool:
-    """Return whether branches with the given numbers of joints are the fingers of a hand rather than arms: at
-    least three of them are long. The fingers of TIAGo's hand have as many joints as its arm.
+def _are_fingers(depths: list[int], joints: int) -> bool:
+    """Return whether branches after a number of joints in series are the fingers of a hand, not arms.
+
+    Fingers have fewer joints than their arm. Three or more long branches may also have as many joints as the
+    joints in series: the fingers of TIAGo's hand have as many as its arm.
+
+    Args:
+        depths: number of joints of each branch.
+        joints: number of joints in series before the branches.
     """
-    return sum(2 * depth >= max(depths) for depth in depths) > 2
+    longest = max(depths)
+    return longest < joints or (longest == joints and sum(2 * depth >= longest for depth in depths) > 2)
 
 
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:

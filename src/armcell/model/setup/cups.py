@@ -82,7 +82,7 @@ def with_suction_gripper(
         if name not in _rigid(model, mount):
             raise GripperNotRecognizedError(f"cup {name} is not fixed to {mount}, the link that carries it")
     cups = [cup for name in chosen for cup in measured_cups(model, mount, name)]
-    Ts = [_pose(model, mount, c.link) for c in cups]
+    Ts = [model.pose_at_zero(mount, c.link) for c in cups]
     axes = np.array([T.rotation.matrix @ c.axis for T, c in zip(Ts, cups)])
     if (axes @ axes[0]).min() < PARALLEL:
         raise GripperNotRecognizedError("its suction cups do not point in one direction")
@@ -113,7 +113,7 @@ def measured_cups(model: RobotModel, mount: str, name: str) -> list[MeasuredCup]
     Raises:
         GripperNotRecognizedError: the link has no circle at its outer end.
     """
-    link, T_link_mount = model.links[name], _pose(model, mount, name).inverse()
+    link, T_link_mount = model.links[name], model.pose_at_zero(mount, name).inverse()
     for shapes in (_collisions(link), _visuals(link)):
         if not shapes:
             continue
@@ -252,7 +252,7 @@ def _with_tcp(model: RobotModel, end: EndEffector, T_mount_tcp: SE3, tool: str) 
     for name in (tool,) if tool else _rigid(model, mount):
         if model.links[name].collisions and not tool:
             continue
-        T = _pose(model, mount, name).inverse() @ T_mount_tcp if name in _rigid(model, mount) else None
+        T = model.pose_at_zero(mount, name).inverse() @ T_mount_tcp if name in _rigid(model, mount) else None
         if T is not None and np.linalg.norm(T.translation) < SAME and T.rotation.matrix[2, 2] > PARALLEL:
             return model, name
         if tool:
@@ -268,10 +268,3 @@ def _with_tcp(model: RobotModel, end: EndEffector, T_mount_tcp: SE3, tool: str) 
 def _rigid(model: RobotModel, link: str) -> list[str]:
     """Return the links that fixed joints connect to a link, from the link outward."""
     return [n for n in model.subtree(link) if all(not j.movable for j in model.chain(link, n))]
-
-
-def _pose(model: RobotModel, base: str, link: str) -> SE3:
-    T = SE3.identity()
-    for joint in model.chain(base, link):
-        T = T @ joint.T_parent_joint
-    return T

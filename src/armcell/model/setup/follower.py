@@ -30,7 +30,8 @@ def with_follower_text(text: str, model: RobotModel, drive: str, follower: str) 
         follower: name of the joint that follows it.
     Raises:
         UnknownNameError: a name is not a driven joint.
-        InputError: the joints do not move two separate jaws, or not along the line between the jaws.
+        InputError: one joint rotates and the other one slides, or the joints do not move two separate jaws
+            along the line between the jaws.
     """
     for name in (drive, follower):
         if name not in model.joint_names:
@@ -41,7 +42,12 @@ def with_follower_text(text: str, model: RobotModel, drive: str, follower: str) 
     for upper, lower in ((0, 1), (1, 0)):
         if children[lower] in model.subtree(children[upper]):
             names = (drive, follower)
-            raise InputError(f"joint {names[upper]} moves the link that {names[lower]} moves; name two jaws")
+            reason = f"follower: joint {names[upper]} also moves the link that {names[lower]} moves"
+            raise InputError(reason, hint="name two joints that move separate jaws")
+    kinds = ["slides" if model.joints[name].type == "prismatic" else "rotates" for name in (drive, follower)]
+    if kinds[0] != kinds[1]:
+        reason = f"{follower} cannot follow {drive}: {drive} {kinds[0]}, and joint {follower} {kinds[1]}"
+        raise InputError(f"follower: {reason}", hint="add a <mimic> element with a multiplier to the URDF")
     multiplier = _multiplier(model, drive, follower)
     root = parse_xml(text, NOWHERE)
     element = next(e for e in root.iterfind("joint") if e.get("name") == follower)
@@ -57,16 +63,19 @@ def _multiplier(model: RobotModel, drive: str, follower: str) -> float:
         (driver.limits.lower + driver.limits.upper) / 2, driver.limits.upper - driver.limits.lower
     )  # fmt: skip
     if not np.isfinite(span) or span <= 0:
-        raise InputError(f"drive: joint {drive} has no range; its limits must be finite and different")
+        text = f"follower: joint {drive} has the range {driver.limits.lower:g} to {driver.limits.upper:g}"
+        raise InputError(text, hint="give the driven joint finite and different limits in the URDF")
     jaws = [tuple(model.subtree(model.joints[name].child)) for name in (drive, follower)]
     before, after = ([hand.at(links, middle + sign * STEP * span) for links in jaws] for sign in (-1.0, 1.0))
     if not all(len(points) for points in before):
-        raise InputError(f"a jaw moved by {drive} or {follower} has no collision shapes")
+        text = f"follower: a jaw that {drive} or {follower} moves has no collision shapes"
+        raise InputError(text, hint="add <collision> elements to the jaws' links in the URDF")
     line = before[1].mean(0) - before[0].mean(0)
     along = []
     for name, a, b in zip((drive, follower), before, after, strict=True):
         motion = (b - a).mean(0)
         along.append(float(motion @ line))
         if abs(along[-1]) < TOWARD * np.linalg.norm(motion) * np.linalg.norm(line) or not motion.any():
-            raise InputError(f"joint {name} does not move its jaw toward the other jaw")
+            text = f"follower: joint {name} does not move its jaw along the line between the jaws"
+            raise InputError(text, hint="name the two joints that close the gripper")
     return 1.0 if along[0] * along[1] < 0 else -1.0

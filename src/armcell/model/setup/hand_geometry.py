@@ -119,10 +119,8 @@ class HandGeometry:
             link = joint.parent
         if joint is None:
             return None
-        R = SE3.identity()
-        for fixed in self.model.chain(joint.child, self.palm):
-            R = R @ fixed.T_parent_joint
-        return R.rotation.matrix.T @ np.asarray(joint.axis)
+        T_joint_palm = self.model.pose_at_zero(joint.child, self.palm)
+        return T_joint_palm.rotation.matrix.T @ np.asarray(joint.axis)
 
     def arm_joints(self) -> int:
         """Return the number of movable joints in the arm that carries the hand, from the robot's root link to

@@ -41,7 +41,7 @@ TRIES = 3  # sets of separate plans with different seeds before planning the arm
 COMBINATIONS = 5000  # of joint goals of all arms that are tried
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SynchronizedPlan(Outcome):
     """Result of planning synchronized motions for several arms: one trajectory per arm, all with the same
     duration, and one trajectory for all joints together.

@@ -90,7 +90,7 @@ class ArmContext(TaskContext):
 Program = Callable[[ArmContext], Outcome | None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SideBySide(Outcome):
     """Result of arms that worked side by side, each with its own program: the error code and message of the
     first failure, and statistics for each arm.

@@ -35,11 +35,14 @@ TILT = 0.05  # [rad] maximum tilt of a grasp or placement about each of two axes
 SETTLED = 5e-4, 1e-2  # [m], [rad] from the pose that the checks of a grasp return to a pose in reach
 ROUNDS = 3  # alternations between these checks and inverse kinematics
 ALIKE = 1e-3, 2e-2  # [m], [rad] nearer grasps count as one
+OUT_OF_REACH = "out of reach, however the hand turns about the object"
 PITCHES = np.deg2rad([15.0, 30.0, 45.0]).tolist()  # [rad] of rotated grasps, about the closing axis
 
 
 def has_few_joints(model: RobotModel, gripper: Gripper) -> bool:
-    """Return whether the arm of a gripper has too few joints to reach any orientation at a position."""
+    """Return whether the arm of a gripper has fewer than six joints, so that it reaches only some
+    orientations at a position.
+    """
     return len(model.group(gripper.arm_group).joint_names) < POSE_JOINTS
 
 
@@ -79,7 +82,7 @@ def grasps_in_reach(
     Args:
         grasps: grasp candidates, best first.
         enough: number of reached grasps at which the search for replacements ends.
-        reject: reports the name of a grasp that has no replacement, and the reason.
+        reject: receives the name of each grasp that no rotation about an axis replaces, and the reason.
     """
     ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
     found: list[Grasp] = []
@@ -89,26 +92,34 @@ def grasps_in_reach(
         solutions = ik.solutions(T_world_tcp, scene.positions, np.random.default_rng(0))
         (missed if next(solutions, None) is None else found).append(grasp)
     uses: Counter[str] = Counter()
+    reasons: dict[str, str] = {}
+    replaced: set[str] = set()
     for family in _families(scene, gripper, item, grasps, missed):
         if len(found) >= enough:
             break
-        reason = "out of reach, however the hand turns about the object"
+        names, reason = [grasp.name for grasp, _ in family.turns], OUT_OF_REACH
         for other in _rotated_grasps(scene, gripper, item, family):
             if isinstance(other, Rejection):
                 reason = other.reason
                 continue
-            reason = ""
+            replaced.update(names if not family.pitch else ())
             if not any(_alike(other, known) for known in found):
                 uses[other.name] += 1
                 number = f" ({uses[other.name]})" if uses[other.name] > 1 else ""
                 found.append(replace(other, name=f"{other.name}{number}"))
-        for grasp, _ in family.turns if reason and not family.pitch else ():
-            reject(grasp.name, reason)
+        for name in names if not family.pitch else ():
+            if reasons.get(name, OUT_OF_REACH) == OUT_OF_REACH:
+                reasons[name] = reason
+    for name, reason in reasons.items():
+        if name not in replaced:
+            reject(name, reason)
     return sorted(found, key=lambda grasp: -grasp.score)
 
 
 def _lacks_two(scene: PlanningScene, gripper: Gripper) -> bool:
-    """Return whether an arm does not reach every pose of an object that may rotate freely about one axis."""
+    """Return whether an arm has fewer than five joints. Even if a pose may rotate freely about one axis, such
+    an arm does not reach every pose.
+    """
     return len(scene.model.group(gripper.arm_group).joint_names) < POSE_JOINTS - 1
 
 
@@ -217,11 +228,15 @@ def placements_in_reach(
     scene: PlanningScene, gripper: Gripper, item: CollisionObject, support: CollisionObject,
     placement: Placement,
 ) -> Iterator[tuple[Placement, SE3, float]]:  # fmt: skip
-    """Yield copies of a placement of the held object that an arm with few joints reaches, each rotated about
-    the surface normal; the pose T_world_object at which the hand releases the object; and the angle [rad].
+    """Yield copies of a placement of the held object, each rotated about the surface normal to a pose that an
+    arm with few joints reaches.
 
     The hand may hold the object at an angle, so such an arm reaches the placement at few angles only, or with
     a small tilt. A tilted object is released higher, so that no corner is below the support's surface.
+
+    Yields:
+        The rotated placement, the pose T_world_object at which the hand releases the object, and the angle
+        [rad] of the rotation.
     """
     T_tcp_object = scene.frame_pose(gripper.tcp_link).inverse() @ scene.frame_pose(item.name)
     T_world_axis, normal = placement_axis(item, placement), np.array(placement.normal)
