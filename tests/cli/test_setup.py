@@ -139,9 +139,14 @@ def jaws_robot(folder, second='<axis xyz="0 -1 0"/><mimic joint="left_finger"/>'
 
 
 @pytest.mark.slow
-def test_a_gripper_is_shown_as_numbers_and_as_a_picture(capsys, tmp_path):
-    said = call(capsys, "setup", jaws_robot(tmp_path), "-o", tmp_path / "cell", *QUICK)
+def test_a_gripper_is_shown_as_numbers_and_as_a_picture(capsys, caplog, tmp_path):
+    file = jaws_robot(tmp_path)
+    gone = '<visual><geometry><mesh filename="gone.stl"/></geometry></visual></link>'
+    file.write_text(file.read_text().replace("</link>", gone, 1))
+    said = call(capsys, "setup", file, "-o", tmp_path / "cell", *QUICK)
     assert said.status == 0, said.err
+    # Once, although setup loads the robot again from the folder that it has written.
+    assert sum("visual meshes are missing" in r.getMessage() for r in caplog.records) == 1
     for text in (
         "opening 0 to 60 mm (joint left_finger: 0 to 0.03)",
         "closing along y of gripper_tcp: (0.00, 1.00, 0.00) in l4; out of the hand: (0.00, 0.00, 1.00)",

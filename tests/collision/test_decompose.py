@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from armcell.collision import object_decomposition
+from armcell.collision import convex_decomposition, object_decomposition
 from armcell.collision.winding import WindingNumbers
 from armcell.core import Mesh
 
@@ -185,3 +185,17 @@ def test_a_piece_without_surface_has_no_depth():
     )
     object_decomposition._Work(1000, vertices, faces).measure_depth(piece)
     assert piece.depth == 0.0
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_no_cut_saves_more_than_its_bound(name):
+    triangles = SOLIDS[name].vertices[SOLIDS[name].faces]
+    low, high = triangles.min((0, 1)), triangles.max((0, 1))
+    planes = low[:, None] + np.linspace(0.2, 0.8, 4) * (high - low)[:, None]
+    whole = ConvexHull(triangles.reshape(-1, 3)).volume
+    bounds = convex_decomposition._largest_savings(triangles, planes, whole)
+    for axis in range(3):
+        for k, at in enumerate(planes[axis]):
+            halves = [convex_decomposition._clip(triangles, axis, at, side) for side in (1.0, -1.0)]
+            saving = whole - sum(ConvexHull(half.reshape(-1, 3)).volume for half in halves)
+            assert saving - 1e-9 * whole <= bounds[axis, k] <= saving + 0.1 * whole

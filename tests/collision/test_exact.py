@@ -235,3 +235,13 @@ def test_a_round_lid_of_many_corners_is_no_box():
     near = checker.nearest([0.85])
     assert near is not None and near.distance == pytest.approx(0.05, abs=1e-4)
     assert not checker.is_free([0.901])
+
+
+def test_a_distance_below_a_bound_is_the_distance_itself():
+    checker = ExactChecker(ur10())
+    for q in np.random.default_rng(0).uniform(-1, 1, (5, checker.model.dof)):
+        checker.set_configuration(q)
+        for a, b in checker.pairs.tolist():
+            distance = checker.pair_distance(a, b)
+            assert checker.pair_distance(a, b, below=distance + 0.01) == distance
+            assert checker.pair_distance(a, b, below=distance - 0.01) >= distance - 0.01

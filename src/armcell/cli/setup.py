@@ -5,6 +5,7 @@ It needs neither a GUI nor ROS. It asks about a gripper if the recognition is no
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import sys
@@ -274,13 +275,28 @@ def setup(
             return 1
         proposal = proposal_or_none
     write_cell(proposal, output, force)
-    if proposal.model.grippers:
-        _first_cell(output)
-    write_pictures(proposal, output)
+    with _without_model_warnings():
+        if proposal.model.grippers:
+            _first_cell(output)
+        write_pictures(proposal, output)
     console.print(f"written: {output}/ (MoveIt: {output}/config)", markup=False)
     console.print(f"next:    armcell check {output}", markup=False)
     console.print(f"in ROS:  {output}/{GUIDE} (roslaunch {output}/launch/move_group.launch)", markup=False)
     return 0
+
+
+@contextmanager
+def _without_model_warnings() -> Iterator[None]:
+    """Keep the loaders quiet while `armcell setup` loads the robot that it has written: it has the faults of
+    the source, which are reported already.
+    """
+    logger = logging.getLogger("armcell.model")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def _first_cell(folder: Path) -> None:

@@ -319,13 +319,11 @@ def _bounding_box(vertices: F64) -> coal.CollisionGeometry:
     return coal.ConvexBase.convexHull(_points(low + corners * extents), True, "Qt")
 
 
-def triangle_model(vertices: F64, faces: NDArray[np.int32]) -> coal.CollisionGeometry:
+def triangle_model(vertices: F64, faces: NDArray[np.integer]) -> coal.CollisionGeometry:
     """Return a triangle mesh as a coal shape. coal treats it as a surface without interior."""
     model = coal.BVHModelOBBRSS()
     model.beginModel(len(faces), len(vertices))
-    triangles = coal.StdVec_Triangle()
-    for a, b, c in faces:
-        triangles.append(coal.Triangle(int(a), int(b), int(c)))
-    model.addSubModel(_points(vertices), triangles)
+    model.addVertices(np.asarray(vertices, float))
+    model.addTriangles(np.asarray(faces, np.int64))
     model.endModel()
     return model

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from armcell._array_store import key_of, recall_or_compute
@@ -67,15 +69,26 @@ def _cut(mesh: Mesh) -> tuple[Mesh, ...]:
     if solid.is_watertight and total - abs(solid.volume) < MIN_SAVING * total:
         return (convex_hull_mesh(triangles),)  # no cut can save more than the hull's excess volume
     pieces, least = [triangles], MIN_SAVING * total
-    cuts = [_best_cut(triangles, least)]
-    while len(pieces) < MAX_PIECES:
-        best = max(range(len(pieces)), key=lambda i: cuts[i][0])
-        saving, halves = cuts[best]
-        if saving < least or halves is None:
+    cuts = [_best_cut(triangles, total, least)]
+    while True:
+        best = max(range(len(pieces)), key=lambda i: cuts[i].saving)
+        cut = cuts[best]
+        if cut.saving < least:
             break
-        pieces[best : best + 1] = halves
-        cuts[best : best + 1] = [_best_cut(half, least) for half in halves]
+        pieces[best : best + 1] = cut.halves
+        if len(pieces) == MAX_PIECES:
+            break
+        parts = zip(cut.halves, cut.volumes, strict=True)
+        cuts[best : best + 1] = [_best_cut(half, volume, least) for half, volume in parts]
     return tuple(convex_hull_mesh(piece) for piece in pieces)
+
+
+class _CutMesh(NamedTuple):
+    """Cut of a mesh: the saved volume [m^3], and the triangles and hull volumes [m^3] of both halves."""
+
+    saving: float = 0.0
+    halves: tuple[Array, ...] = ()
+    volumes: tuple[float, ...] = ()
 
 
 def _hull_volume(triangles: Array) -> float:
@@ -111,61 +124,113 @@ def convex_hull_mesh(triangles: Array) -> Mesh:
     return Mesh(vertices, faces.astype(np.int32))
 
 
-def _best_cut(triangles: Array, least: float) -> tuple[float, list[Array] | None]:
-    """Find the axis-aligned plane that best cuts a mesh into two convex pieces.
-    Return the volume saved [m^3] and both halves.
+def _best_cut(triangles: Array, whole: float, least: float) -> _CutMesh:
+    """Find the axis-aligned plane that best cuts a mesh, whose hull has the volume `whole` [m^3], into two
+    convex pieces.
 
-    The halves are None if no cut saves the volume `least` [m^3].
+    The saving is less than `least` [m^3] if no cut saves as much.
     """
     points = triangles.reshape(-1, 3)
     low, high = points.min(0), points.max(0)
-    whole = _hull_volume(triangles)
-    estimates = whole - _hull_volumes_of_cuts(triangles, low, high).ravel()
+    planes = low[:, None] + np.array(_FRACTIONS) * (high - low)[:, None]
+    bounds = _largest_savings(triangles, planes, whole).ravel()
     rounding = 1e-9 * whole
-    cuts: dict[int, tuple[float, list[Array]]] = {}
-    for i in np.argsort(-estimates, kind="stable").tolist():
-        if estimates[i] < max([least, *(saving for saving, _ in cuts.values())]) - rounding:
+    cuts: dict[int, _CutMesh] = {}
+    for i in np.argsort(-bounds, kind="stable").tolist():
+        if bounds[i] < max([least, *(cut.saving for cut in cuts.values())]) - rounding:
             break
-        axis, step = divmod(i, len(_FRACTIONS))
-        at = low[axis] + _FRACTIONS[step] * (high[axis] - low[axis])
-        halves = [_clip(triangles, axis, at, side) for side in (1.0, -1.0)]
-        volumes = [_hull_volume(half) for half in halves]
+        axis = i // len(_FRACTIONS)
+        halves = tuple(_clip(triangles, axis, planes.flat[i], side) for side in (1.0, -1.0))
+        volumes = tuple(_hull_volume(half) for half in halves)
         if min(volumes) > 0.0:
-            cuts[i] = whole - sum(volumes), halves
-    best: tuple[float, list[Array] | None] = (0.0, None)
-    for i in sorted(cuts):  # the first of equal cuts, whatever the rounding of the estimates
-        if cuts[i][0] > best[0]:
-            best = cuts[i]
-    return best
+            cuts[i] = _CutMesh(whole - sum(volumes), halves, volumes)
+    # The first of equal cuts, whatever the bounds.
+    return max((cuts[i] for i in sorted(cuts)), key=lambda cut: cut.saving, default=_CutMesh())
 
 
-def _hull_volumes_of_cuts(triangles: Array, low: Array, high: Array) -> Array:
-    """Return the total volume (3, k) [m^3] of both hulls after each cut of a mesh, up to rounding.
+def _largest_savings(triangles: Array, planes: Array, whole: float) -> Array:
+    """Return upper bounds (3, k) [m^3] of the volume that each cut of a mesh saves. Most exceed the true
+    values by few percent of the whole hull.
 
-    The hull of all points below a plane is the hull of the points since the last plane and of the last hull's
-    corners. Therefore each point enters a hull about twice per axis, instead of once per cut.
+    The hull of some points of a half is at most as large as the half's hull. The points are the extreme ones
+    of each slab between two planes, and of each plane's section.
+
+    Args:
+        planes: (3, k) coordinates of the planes along each axis, ascending.
+        whole: volume of the whole hull [m^3].
     """
-    points, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-    corners = index.reshape(-1, 3)
-    ends = np.sort(np.concatenate([corners[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
-    a, b = np.divmod(np.unique(ends[:, 0] * len(points) + ends[:, 1]), len(points))
-    volumes = np.zeros((3, len(_FRACTIONS)))
+    slabs, sections = _extreme_points(triangles, planes, _DIRECTIONS)
+    savings = np.full(planes.shape, whole)
+    count = planes.shape[1]
     for axis in range(3):
-        x = points[:, axis]
-        planes = low[axis] + np.array(_FRACTIONS) * (high[axis] - low[axis])
-        for side in (1.0, -1.0):
-            hull, last = np.empty((0, 3)), -np.inf
-            for k in range(len(planes))[:: int(side)]:
-                height = side * (x - planes[k])
-                crossing = (height[a] > 0) != (height[b] > 0)
-                p, q = a[crossing], b[crossing]
-                share = height[p] / (height[p] - height[q])
-                cut = points[p] + share[:, None] * (points[q] - points[p])
-                new = points[(height <= 0) & (side * x > last)]
-                volume, hull = _hull(np.concatenate([hull, new, cut]))
-                volumes[axis, k] += volume
-                last = side * planes[k]
-    return volumes
+        for side in (1, -1):
+            hull = np.empty((0, 3))
+            for k in range(count)[::side]:
+                new = np.concatenate([slabs[axis, k if side > 0 else k + 1], sections[axis, k]])
+                volume, hull = _hull(np.concatenate([hull, new[~np.isnan(new[:, 0])]]))
+                savings[axis, k] -= volume
+    return savings
+
+
+def _evenly_spread(count: int) -> Array:
+    """Return unit vectors (count, 3) that are evenly spread, on a spiral along z (the Fibonacci sphere)."""
+    z = (2 * np.arange(count) + 1) / count - 1
+    turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+
+
+_DIRECTIONS = _evenly_spread(64)
+"""Fewer directions leave more cuts to measure exactly; from 40 to 100, the CPU time differs by 5 %."""
+
+
+@njit(cache=True)
+def _extreme_points(triangles, planes, directions):
+    """Return the corners of triangles (n, 3, 3) that are farthest in each direction (d, 3), by axis and slab
+    between two planes (3, k + 1, d, 3), and the same of the sections with the planes (3, k, d, 3).
+
+    The points are NaN where there are none.
+    """
+    k, d = planes.shape[1], len(directions)
+    slabs, sections = np.full((3, k + 1, d, 3), np.nan), np.full((3, k, d, 3), np.nan)
+    farthest_corner, farthest_cut = np.full((3, k + 1, d), -np.inf), np.full((3, k, d), -np.inf)
+    slab, along, point = np.empty((3, 3), np.int64), np.empty(d), np.empty(3)
+    for t in range(len(triangles)):
+        for c in range(3):
+            for i in range(d):
+                along[i] = (
+                    triangles[t, c, 0] * directions[i, 0]
+                    + triangles[t, c, 1] * directions[i, 1]
+                    + triangles[t, c, 2] * directions[i, 2]
+                )
+            for axis in range(3):
+                s = 0
+                while s < k and triangles[t, c, axis] > planes[axis, s]:
+                    s += 1
+                slab[axis, c] = s
+                for i in range(d):
+                    if along[i] > farthest_corner[axis, s, i]:
+                        farthest_corner[axis, s, i] = along[i]
+                        slabs[axis, s, i] = triangles[t, c]
+        for axis in range(3):
+            for c in range(3):
+                a, b = c, (c + 1) % 3
+                if slab[axis, a] > slab[axis, b]:
+                    a, b = b, a
+                for s in range(slab[axis, a], slab[axis, b]):
+                    above = triangles[t, b, axis] - planes[axis, s]
+                    share = above / (triangles[t, b, axis] - triangles[t, a, axis])
+                    for j in range(3):
+                        point[j] = triangles[t, b, j] + share * (triangles[t, a, j] - triangles[t, b, j])
+                    for i in range(d):
+                        value = (
+                            point[0] * directions[i, 0]
+                            + point[1] * directions[i, 1]
+                            + point[2] * directions[i, 2]
+                        )
+                        if value > farthest_cut[axis, s, i]:
+                            farthest_cut[axis, s, i] = value
+                            sections[axis, s, i] = point
+    return slabs, sections
 
 
 def cut_corners(triangles: Array, height: Array, odd: NDArray[np.intp]) -> tuple[Array, ...]:

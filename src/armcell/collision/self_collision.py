@@ -19,7 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from armcell.collision.exact_checker import ExactChecker
-from armcell.collision.kernel.block import EVERY, EXACT, PROVE, check_block, handle_of, ints, lanes_of
+from armcell.collision.kernel.block import EVERY, EXACT, PROVE, STILL, check_block, handle_of, ints, lanes_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.frames import workspace
 from armcell.collision.kernel.pack import NEAR, PAIR, PAIRS
@@ -65,12 +65,14 @@ def _ask_pairs(handle, pairs, q, masks):
             row = min(block * L + lane, len(q) - 1)
             for j in range(dof):
                 w[j * L + lane] = np.float32(q[row, j])
+        # A proof over an interval of zero width checks the configuration itself, and continues to the end for
+        # every lane.
+        mode = np.int64(EXACT | PROVE)
         for p in range(len(pairs)):
             I[PAIR] = np.int32(first_pair + 2 * pairs[p])
             I[NEAR] = np.int32(first_near + pairs[p])
-            # A proof over an interval of zero width checks the configuration itself, and continues to the
-            # end for every lane.
-            masks[p, block] = np.uint16(check_block(k, EVERY, np.int64(EXACT | PROVE)))
+            masks[p, block] = np.uint16(check_block(k, EVERY, mode))
+            mode |= np.int64(STILL)
     I[PAIR], I[NEAR] = np.int32(first_pair), np.int32(first_near)
 
 
@@ -331,7 +333,7 @@ class _Survey:
         pairs = self._solid_pairs(a, b)
         for i, j in pairs[self.exact.pair_gaps(pairs) < most].tolist():
             if self.exact.pair_distance(i, j, outer=True) < most:
-                most = min(most, self.exact.pair_distance(i, j))
+                most = min(most, self.exact.pair_distance(i, j, below=most))
         return most
 
     def _touch(self, a: str, b: str, q: Array) -> bool:

@@ -25,6 +25,7 @@ from armcell.collision.kernel.frames import (
     NOW,
     PADDED,
     PROVE,
+    STILL,
     TOUCHING,
     WAITING,
     body_margin_at,
@@ -65,7 +66,7 @@ from armcell.collision.kernel.world_collision import world_block
 
 DONE = np.int64(-1)
 EVERY = np.int64((1 << L) - 1)  # all lanes
-__all__ = ["EVERY", "EXACT", "FIRST", "PADDED", "PROVE", "check_block", "handle_of", "touches"]
+__all__ = ["EVERY", "EXACT", "FIRST", "PADDED", "PROVE", "STILL", "check_block", "handle_of", "touches"]
 
 
 @inner_njit(forceinline=True)
@@ -223,18 +224,20 @@ def _check_arrays(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
             count as contact. PADDED: bodies keep their padding from world shapes. PROVE: a lane is free if
             nothing touches in its whole interval (rates and half widths in w); without it, only the
             configuration itself is checked, and the check stops at the first lane that is not free. FIRST:
-            stop at the first certain contact.
+            stop at the first certain contact. STILL: the configurations and rates are those of the last
+            check, so all frames and centers are still right, and only pairs of robot bodies are tested.
     Returns:
         Bits of the lanes that are not free; `state[TOUCHING]` has the bits of lanes that certainly touch.
     """
-    state[NOW] += 1
     state[ALIVE], state[TOUCHING], state[WAITING] = lanes, 0, 0
-    fk_block(I, F, w)
-    if mode & PROVE:
-        twist_block(I, F, w)
-    done = world_block(I, F, D, w, state, s, slack, slack_pair, mode) or pairs_block(
-        I, F, D, w, state, s, slack, slack_pair, mode
-    )
+    done = False
+    if mode & STILL == 0:
+        state[NOW] += 1
+        fk_block(I, F, w)
+        if mode & PROVE:
+            twist_block(I, F, w)
+        done = world_block(I, F, D, w, state, s, slack, slack_pair, mode)
+    done = done or pairs_block(I, F, D, w, state, s, slack, slack_pair, mode)
     if not done and state[WAITING] != 0:
         run_exact_tests(I, F, D, w, state, s, slack, slack_pair, mode)
     return lanes & ~state[ALIVE]

@@ -34,7 +34,7 @@ from armcell.collision.kernel.simd import L, fma, load, select_lt, splat, store,
 
 REVOLUTE = 1
 
-EXACT, PADDED, PROVE, FIRST = 1, 2, 4, 8  # bits of `mode`, see `_check_arrays`
+EXACT, PADDED, PROVE, FIRST, STILL = 1, 2, 4, 8, 16  # bits of `mode`, see `_check_arrays`
 
 # Contents of `state`: number of the block, undecided lanes (bits), lanes that certainly touch (bits), and the
 # pairs that wait for the exact tier (three numbers each); then the blocks in which the centers were computed,

@@ -169,7 +169,12 @@ class NumericIK(IKSolver):
 
         Args:
             reference: positions (dof,) of all joints; joints outside the group stay at these positions.
+        Raises:
+            InputError: an array has the wrong length or is not finite.
         """
+        n = len(self.group.joint_names)
+        q, wanted = float_array(q, (n,), "q"), float_array(wanted, (n,), "wanted")
+        reference = float_array(reference, (self.model.dof,), "reference")
         prepared, goal, _ = self._question(T_world_tip, reference)
         return self._nearer(prepared, goal, wanted, q)
 
