@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 LEAF = 32  # triangles in a leaf of the tree; half or twice as many cost a tenth more time
-TREE = 10_000_000  # solid angles (points x triangles) above which a tree saves more time than it costs
+TREE = 1_000_000  # solid angles (points x triangles) above which a tree saves more time than it costs
 
 
 class _Tree(NamedTuple):

@@ -104,9 +104,11 @@ def outer_skin(vertices: F64, faces: NDArray[np.int64], edge: float) -> F64:
     names = np.unique(part_of_face)
     if len(names) == 1:
         return small_triangles(vertices, faces, edge)
+    solids = {part: faces[part_of_face == part] for part in names}
+    winding = {part: WindingNumbers(vertices, solid) for part, solid in solids.items()}
     kept = []
     for part in names:
-        elements = small_triangles(vertices, faces[part_of_face == part], edge)
+        elements = small_triangles(vertices, solids[part], edge)
         buried = np.zeros(len(elements), dtype=bool)
         # Test points slightly outside the face: where two solids abut, each face is inside the other solid.
         normal = np.cross(elements[:, 1] - elements[:, 0], elements[:, 2] - elements[:, 0])
@@ -115,10 +117,10 @@ def outer_skin(vertices: F64, faces: NDArray[np.int64], edge: float) -> F64:
         for other in names:
             if other == part:
                 continue
-            solid = faces[part_of_face == other]
+            solid = solids[other]
             low, high = vertices[solid].min(axis=(0, 1)), vertices[solid].max(axis=(0, 1))
             near = np.flatnonzero(~buried & np.all((points > low) & (points < high), axis=1))
-            buried[near] = WindingNumbers(vertices, solid)(points[near]) > 0.5
+            buried[near] = winding[other](points[near]) > 0.5
         kept.append(elements[~buried])
     return np.concatenate(kept)
 
