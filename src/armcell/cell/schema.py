@@ -100,9 +100,8 @@ class ShapeSpec(SomeShape):
     def _one(self):
         given = self.given()
         if len(given) != 1:
-            raise ValueError(
-                f"needs exactly one of {', '.join(SHAPE_KEYS)}, has {', '.join(given) or 'none'}"
-            )
+            has = ", ".join(given) or "none"
+            raise ValueError(f"needs exactly one of {', '.join(SHAPE_KEYS)}, has {has}")
         return self
 
 
@@ -342,9 +341,7 @@ class StepSpec(Strict):
 
     @property
     def goal(self) -> PlaceSpec | None:
-        """Return the goal placement in a task step's specification in the cell file, or None if the step has
-        no goal.
-        """
+        """Return the goal placement of a task step in the cell file, or None if the step has no goal."""
         return self.place or self.transfer
 
     @property

@@ -15,11 +15,11 @@ from armcell.core.geometry import local_bounds
 from armcell.execution import ExecutionSettings
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, Group, RobotModel, SuctionGripper
+from armcell.model.robot import SERVO_ERROR
 from armcell.scene import CollisionObject, PlanningScene
 
 SAMPLES = 2000  # random states that measure the arm's reach
 G = 9.81  # [m/s^2]
-SETTLES = 1e-3  # [rad] at which the friction of a joint stops a soft servo (sim/robot.py)
 SMALL = 0.6  # [m] arms with a smaller reach move less up and down
 GAP = 0.002  # [m] between the robot's base and the table
 THICK = 0.04  # [m] of the table top
@@ -218,7 +218,7 @@ def _sag(model: RobotModel, arm: Group, mass: float) -> float:
     found, lever = 0.0, 0.0
     for joint in reversed(model.chain(str(arm.base_link), str(arm.tip_link))):
         if joint.servo is not None and joint.type != "prismatic":
-            found = max(found, mass * G * lever / joint.servo.kp + SETTLES)
+            found = max(found, mass * G * lever / joint.servo.kp + SERVO_ERROR)
         lever += float(np.linalg.norm(joint.T_parent_joint.translation))
     return 1.5 * found
 

@@ -109,13 +109,13 @@ class _Work:
     """Working state while a concave solid is decomposed: the solid itself and the remaining points."""
 
     def __init__(self, points: int, vertices: Array, faces: NDArray[np.int32]):
-        self.left, self._faces, self._winding = points, len(faces), WindingNumbers(vertices, faces)
+        self.left, self._face_count, self._winding = points, len(faces), WindingNumbers(vertices, faces)
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
         """Return a mask of the points (n, 3) that are inside the concave solid being decomposed."""
         if not len(points):
             return np.zeros(0, bool)
-        self.left -= len(points) * self._faces // 10
+        self.left -= len(points) * self._face_count // 10
         return np.abs(self._winding(points)) > 0.5
 
     def hull(self, points: Array) -> float:

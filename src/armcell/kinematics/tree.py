@@ -124,13 +124,9 @@ class KinematicTree:
         self.multiplier = np.ones(n)
         self.offset = np.zeros(n)
         for i, joint in enumerate(joints):
-            source, mult, off = joint, 1.0, 0.0
-            while source.mimic is not None:  # a mimic of a mimic is followed to the driven joint
-                off += mult * source.mimic.offset
-                mult *= source.mimic.multiplier
-                source = model.joints[source.mimic.joint]
             if joint.movable:
-                self.column[i], self.multiplier[i], self.offset[i] = at[source.name], mult, off
+                driven, self.multiplier[i], self.offset[i] = model.coupling(joint.name)
+                self.column[i] = at[driven]
         self.joint_index = {j.name: i for i, j in enumerate(joints)}
         self._paths: dict[str, NDArray[np.int64]] = {}
         self._group_columns: dict[tuple[str, ...], NDArray[np.int64]] = {}

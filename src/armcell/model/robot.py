@@ -82,6 +82,9 @@ class Mimic:
     offset: float = 0.0
 
 
+SERVO_ERROR = 1e-3  # [rad or m] from the target at which the friction of a joint may stop its servo
+
+
 @dataclass(frozen=True)
 @checked()
 class Servo:
@@ -416,6 +419,17 @@ class RobotModel:
             joints.append(self.parent_joint[link])
             link = joints[-1].parent
         return tuple(reversed(joints))
+
+    def coupling(self, joint: str) -> tuple[str, float, float]:
+        """Return the driven joint that moves a joint of the robot model, directly or through mimic joints,
+        and the multiplier and the offset: position = multiplier * position of the driven joint + offset.
+        """
+        source, multiplier, offset = self.joints[joint], 1.0, 0.0
+        while source.mimic is not None:
+            offset += multiplier * source.mimic.offset
+            multiplier *= source.mimic.multiplier
+            source = self.joints[source.mimic.joint]
+        return source.name, multiplier, offset
 
     def pose_at_zero(self, base: str, link: str) -> SE3:
         """Return the pose T_base_link of a link of the robot model below link `base`, with all joints between

@@ -61,9 +61,8 @@ def urdf_text(
 ) -> str:
     """Return the text of a URDF or SRDF file, expanded if it is a xacro file."""
     path = Path(path)
-    if path.suffix == ".xacro":
-        return expand_xacro(path, xacro_args, allow_env, home)
-    return read_text(path)
+    is_xacro = path.suffix == ".xacro"
+    return expand_xacro(path, xacro_args, allow_env, home) if is_xacro else read_text(path)
 
 
 def parse_urdf(text: str, file: Path, warn: bool = True) -> RobotModel:
@@ -183,9 +182,8 @@ class _Reader:
             return None
         package = package_above(self.file.resolve()) or self.folder
         name = self.file.name.encode()
-        files = (
-            f for f in sorted(package.rglob("*.xacro")) if f.name != self.file.name and os.path.isfile(f)
-        )
+        others = (f for f in sorted(package.rglob("*.xacro")) if f.name != self.file.name)
+        files = filter(os.path.isfile, others)
         users = [str(f.relative_to(package)) for f in islice(files, MAX_LISTED) if name in f.read_bytes()]
         callers = f"; {', '.join(users[:5])} include{'s' * (len(users) == 1)} it" if users else ""
         return f"the file only defines macros: give a file that calls them{callers}"
@@ -353,8 +351,7 @@ class _Reader:
     def visual(self, element: etree._Element, materials: dict) -> Visual | None:
         """Return the visual geometry of a URDF element, or None if its mesh file is missing.
 
-        A missing visual mesh only causes a warning, because planning does not use visual geometry, except
-        that of the links in `drawn`.
+        A missing visual mesh only causes a warning, except for the links in `drawn`, which must have theirs.
         """
         material = element.find("material")
         color = None
@@ -381,9 +378,8 @@ class _Reader:
         """
         name, type_ = self.attribute(element, "name"), self.attribute(element, "type")
         if type_ not in JOINT_TYPES:
-            raise self.fail(
-                element, f"unknown joint type {type_!r}", hint=f"known: {', '.join(sorted(JOINT_TYPES))}"
-            )
+            known = f"known: {', '.join(sorted(JOINT_TYPES))}"
+            raise self.fail(element, f"unknown joint type {type_!r}", hint=known)
         ends = {}
         for end in ("parent", "child"):
             found = element.find(end)

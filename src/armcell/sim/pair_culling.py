@@ -30,7 +30,7 @@ class PairCulling:
     """Pairs of bodies that are far apart, with bounds on their motion. MuJoCo skips the contact tests of a
     pair until its bodies could touch.
 
-    `stepping.take_steps` reads and updates the arrays.
+    `step_kernel.take_steps` reads and updates the arrays.
 
     Attributes:
         arrays: tuple for p body pairs with c joint values and k geom pairs in total, in this order:

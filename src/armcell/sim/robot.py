@@ -13,7 +13,7 @@ from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR, visual_parts
 from armcell.model.composition import finger_parts
 from armcell.model.mjcf.spec import physics_spec
-from armcell.model.robot import MjcfPart
+from armcell.model.robot import SERVO_ERROR, MjcfPart
 from armcell.scene import WORLD, PlanningScene
 from armcell.sim.joint_gains import arm_joints, check_joint_gains, effective_gains
 from armcell.sim.settings import PhysicsSettings
@@ -26,7 +26,6 @@ from armcell.sim.shapes import (
 )
 
 EXCLUDED = 1e-3  # [rad or m] by which a mimic joint's limits may miss the range of its coupling
-STUCK = 1e-3  # [rad or m] from the target, at which the friction of a joint with an MJCF servo stops it
 FINGER_INERTIA = 2.0  # [kg] largest armature of a hand's joint, as mass at the pads (Menagerie's 2F-85: 1.5)
 
 
@@ -143,11 +142,9 @@ def _is_limited(model: RobotModel, joint: Joint) -> bool:
     low, high = joint.limits.lower, joint.limits.upper
     if not (np.isfinite(low) and np.isfinite(high)):
         return False
-    driver = joint
-    while driver.mimic is not None:
-        driver = model.joints[driver.mimic.joint]
-    multiplier, offset = _coupling(model, joint.name, driver.name)
-    ends = [multiplier * q + offset for q in (driver.limits.lower, driver.limits.upper)]
+    driven, multiplier, offset = model.coupling(joint.name)
+    driver = model.joints[driven].limits
+    ends = [multiplier * q + offset for q in (driver.lower, driver.upper)]
     return low - EXCLUDED <= min(ends) and max(ends) <= high + EXCLUDED
 
 
@@ -279,7 +276,7 @@ def add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: PhysicsS
             actuator.forcerange = [-joint.limits.effort, joint.limits.effort]
         if joint.servo is not None:  # real controllers compensate friction: soft servos would stop early
             moved = spec.joint(name)
-            moved.frictionloss = min(moved.frictionloss, STUCK * drive.kp)
+            moved.frictionloss = min(moved.frictionloss, SERVO_ERROR * drive.kp)
 
 
 def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settings: PhysicsSettings) -> None:
@@ -296,7 +293,9 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
     actuator.forcerange = [-limit, limit]
     # A gripper's force is the force at its pads: its motor also overcomes the hand's friction and springs.
     for name in _hand_joints(model, gripper):
-        joint, (multiplier, offset) = spec.joint(name), _coupling(model, name, gripper.joint_name)
+        joint, (driven, multiplier, offset) = spec.joint(name), model.coupling(name)
+        if driven != gripper.joint_name:
+            multiplier = offset = 0.0
         if multiplier:  # heavier fingers close slowly and bounce: MJCF hands inherit the armature of the arm
             travel = gripper.finger_travel_per_joint / multiplier
             joint.armature = min(joint.armature, FINGER_INERTIA * travel**2)
@@ -315,17 +314,6 @@ def _hand_joints(model: RobotModel, gripper: Gripper) -> list[str]:
     other = set(arm.joint_names) if arm is not None else set()
     links = {*gripper.hand_links, *gripper.finger_links}
     return [j.name for j in model.joints.values() if j.movable and j.child in links and j.name not in other]
-
-
-def _coupling(model: RobotModel, name: str, driven: str) -> tuple[float, float]:
-    """Return the multiplier and the offset with which a joint of the robot's hand follows the driven joint.
-    Both are 0 for an independent joint.
-    """
-    mimic = model.joints[name].mimic
-    if mimic is None:
-        return (1.0, 0.0) if name == driven else (0.0, 0.0)
-    multiplier, offset = _coupling(model, mimic.joint, driven)
-    return mimic.multiplier * multiplier, mimic.multiplier * offset + mimic.offset
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:

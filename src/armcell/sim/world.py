@@ -28,7 +28,7 @@ from armcell.sim.mujoco_model import BuiltModel, same_build, scene_objects
 from armcell.sim.objects import Array, FixedBodyPoses, Poses, write_free
 from armcell.sim.servo import JointTargets
 from armcell.sim.settings import PhysicsSettings
-from armcell.sim.stepping import Stepper
+from armcell.sim.stepper import Stepper
 
 log = logging.getLogger(__name__)
 

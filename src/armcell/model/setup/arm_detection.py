@@ -115,13 +115,6 @@ def _only_a_gripper(model: RobotModel) -> dict[str, dict[str, Group]]:
 
 
 # --- the tree ---
-def driver_of(model: RobotModel, joint: Joint) -> str:
-    """Return the actuated joint that drives a joint of a gripper, directly or through mimic joints."""
-    while joint.mimic is not None:
-        joint = model.joints[joint.mimic.joint]
-    return joint.name
-
-
 def _follow(
     model: RobotModel,
     link: str,
@@ -135,7 +128,8 @@ def _follow(
         return joint.name in names_of_jaws or bool(JAW.search(joint.name + joint.child))
 
     starts = _next_movable(model, link)
-    if len(starts) > 1 and (all(map(is_jaw, starts)) or len({driver_of(model, j) for j in starts}) == 1):
+    drivers = {model.coupling(j.name)[0] for j in starts}
+    if len(starts) > 1 and (all(map(is_jaw, starts)) or len(drivers) == 1):
         return  # fingers without an arm
     for first in starts:
         row, ends = _row(model, first)
@@ -146,7 +140,7 @@ def _follow(
             )  # `row` is a torso: the arms are further down
             continue
         driven, jaws = row, ends
-        if ends and len(row) > 1 and {driver_of(model, j) for j in ends} == {row[-1].name}:
+        if ends and len(row) > 1 and {model.coupling(j.name)[0] for j in ends} == {row[-1].name}:
             jaws, driven = [row[-1]], row[:-1]  # a slider that opens the fingers (Stretch)
         if len(driven) > 1 and not ends and is_jaw(driven[-1]):
             jaws, driven = [driven[-1]], driven[:-1]  # gripper with one moving and one fixed jaw

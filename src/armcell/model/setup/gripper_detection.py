@@ -17,7 +17,7 @@ import numpy as np
 from armcell.core import InputError, UnknownNameError
 from armcell.model.composition import with_tip
 from armcell.model.robot import EndEffector, RobotModel
-from armcell.model.setup.arm_detection import cup_links, driver_of
+from armcell.model.setup.arm_detection import cup_links
 from armcell.model.setup.cups import with_suction_gripper
 from armcell.model.setup.hand_geometry import GripperNotRecognizedError, HandGeometry
 from armcell.model.setup.jaws import find_jaws
@@ -212,7 +212,7 @@ def _moves_both_jaws(model: RobotModel, end: EndEffector, name: str, fact: Gripp
     """Try to detect a gripper in which the driven joint `name` moves both jaws. Return the robot with this
     gripper, or None.
     """
-    if sum(j.movable and driver_of(model, j) == name for j in model.joints.values()) < 2:
+    if sum(j.movable and model.coupling(j.name)[0] == name for j in model.joints.values()) < 2:
         return None
     try:
         return _with_driven(model, end, name, fact)
@@ -241,7 +241,7 @@ def _check_finger(hand: HandGeometry, link: str) -> None:
     """
     if link not in hand.rigid or link not in hand.points:
         raise GripperNotRecognizedError(f"finger {link} is not a link below the palm {hand.palm}")
-    others = {driver_of(hand.model, j) for j in hand.model.chain(hand.palm, link) if j.movable}
+    others = {hand.model.coupling(j.name)[0] for j in hand.model.chain(hand.palm, link) if j.movable}
     if others - {hand.driver.name}:
         raise GripperNotRecognizedError(
             f"joint {', '.join(sorted(others - {hand.driver.name}))} moves finger {link} by itself, but one "

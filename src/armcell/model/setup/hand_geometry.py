@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from armcell.core import SE3, SO3, Mesh
 from armcell.core.geometry import local_bounds
 from armcell.model.robot import Joint, Link, RobotModel
-from armcell.model.setup.arm_detection import common_link, driver_of
+from armcell.model.setup.arm_detection import common_link
 
 F64 = NDArray[np.float64]
 SPACING = 0.002  # [m] of the grid on which the jaws' facing surfaces are compared
@@ -77,7 +77,9 @@ class HandGeometry:
 
     def __init__(self, model: RobotModel, driver: Joint):
         self.model, self.driver = model, driver
-        self.moving = [j for j in model.joints.values() if j.movable and driver_of(model, j) == driver.name]
+        self.moving = [
+            j for j in model.joints.values() if j.movable and model.coupling(j.name)[0] == driver.name
+        ]
         self.palm = common_link(model, [j.parent for j in self.moving])
         below = model.subtree(self.palm)  # the arm's last link may be fixed to the palm, but is above it
         sets = [tuple(n for n in below if n in links) for links in model.rigid_groups]
@@ -162,12 +164,8 @@ def _value(model: RobotModel, joint: Joint, driver: str, q: float) -> float:
     """Return the position of a gripper's joint when the driving joint
     is at `q` and all other joints are at zero.
     """
-    if joint.mimic is None:
-        return q if joint.name == driver else 0.0
-    return (
-        joint.mimic.multiplier * _value(model, model.joints[joint.mimic.joint], driver, q)
-        + joint.mimic.offset
-    )
+    driven, multiplier, offset = model.coupling(joint.name)
+    return (multiplier * q if driven == driver else 0.0) + offset
 
 
 def _motion(joint: Joint, value: float) -> SE3:

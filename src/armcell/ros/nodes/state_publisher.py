@@ -216,13 +216,8 @@ class _Mimics:
     def __init__(self, model: RobotModel):
         self._follows: dict[str, tuple[str, float, float]] = {}  # source joint, multiplier, offset
         for name, joint in model.joints.items():
-            factor, offset, source = 1.0, 0.0, joint
-            while source.mimic is not None:  # a mimic of a mimic
-                offset += factor * source.mimic.offset
-                factor *= source.mimic.multiplier
-                source = model.joints[source.mimic.joint]
-            if source is not joint:
-                self._follows[name] = (source.name, factor, offset)
+            if joint.mimic is not None:
+                self._follows[name] = model.coupling(name)
 
     def added(self, state: JointState) -> JointState:
         """Add the mimic joints to joint states before publication.
