@@ -423,8 +423,11 @@ class RobotModel:
     def coupling(self, joint: str) -> tuple[str, float, float]:
         """Return the driven joint that moves a joint of the robot model, directly or through mimic joints,
         and the multiplier and the offset: position = multiplier * position of the driven joint + offset.
+
+        Raises:
+            UnknownNameError: the robot model has no such joint.
         """
-        source, multiplier, offset = self.joints[joint], 1.0, 0.0
+        source, multiplier, offset = self.joint(joint), 1.0, 0.0
         while source.mimic is not None:
             offset += multiplier * source.mimic.offset
             multiplier *= source.mimic.multiplier
