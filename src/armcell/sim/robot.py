@@ -16,14 +16,14 @@ from armcell.model.mjcf.spec import physics_spec
 from armcell.model.robot import SERVO_ERROR, MjcfPart
 from armcell.scene import WORLD, PlanningScene
 from armcell.sim.joint_gains import arm_joints, check_joint_gains, effective_gains
-from armcell.sim.settings import PhysicsSettings
-from armcell.sim.shapes import (
+from armcell.sim.objects import (
     COLLISION_GROUP,
     OBJECT_GROUP,
     VISUAL_GROUP,
     GeomAdder,
     full_inertia,
 )
+from armcell.sim.settings import PhysicsSettings
 
 EXCLUDED = 1e-3  # [rad or m] by which a mimic joint's limits may miss the range of its coupling
 FINGER_INERTIA = 2.0  # [kg] largest armature of a hand's joint, as mass at the pads (Menagerie's 2F-85: 1.5)
