@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.model.test_mjcf import DRIVE, JAWS, LINKAGE, TENDON, arm
 
-from armcell.core import SE3, SO3, Cylinder
+from armcell.core import SE3, SO3, Box, Cylinder
 from armcell.model import Gripper, MountedRobot, compose, load_robot
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import SimWorld
@@ -122,6 +122,28 @@ def test_a_hand_with_springs_and_friction_reaches_its_width(tmp_path):
         world.set_gripper_target("hand", width)
         world.step(1000)
         assert world.gripper_state("hand").width == pytest.approx(width, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("masks", "pairs"),
+    [
+        ('contype="0" conaffinity="1"', ""),
+        ('contype="0" conaffinity="3"', ""),
+        ('contype="2" conaffinity="4"', ""),
+        ('contype="0" conaffinity="0"', '<contact><pair geom1="plate" geom2="jaw"/></contact>'),
+    ],
+)
+def test_objects_rest_on_links_with_any_contact_mask(tmp_path, masks, pairs):
+    """MJCF files may restrict which geoms of a robot touch each other; objects touch all of them."""
+    plate = f'<geom name="plate" type="box" size="0.2 0.2 0.01" pos="0 0 -0.1" {masks}/>'
+    text = JAWS.replace('<geom size="0.03"/>', plate).replace(
+        '<geom size="0.01"/>', '<geom name="jaw" size="0.01"/>', 1
+    )
+    model = written(tmp_path, text.format(TENDON + DRIVE + pairs))
+    cube = CollisionObject.single("cube", Box(0.04, 0.04, 0.04), SE3.from_xyz(0.1, 0, -0.068), movable=True)
+    world = SimWorld(scene_of(model).with_object(cube))
+    world.step(300)
+    assert world.object_poses()["cube"].translation[2] == pytest.approx(-0.07, abs=1e-3)
 
 
 def test_a_can_between_recessed_pads_is_pressed_along_the_closing_direction(tmp_path):
