@@ -39,7 +39,7 @@ HELP = """The option --gripper states what setup does not recognize, as KEY=VALU
 
   drive=JOINT            driven joint that moves the jaws
 
-  follower=JOINT         joint that follows the driven joint, if the URDF lacks a <mimic>
+  follower=JOINT         joint that follows the driven joint, if the file does not couple them
 
   fingers=LINK,LINK      links of both jaws (several per side: A,B+C)
 

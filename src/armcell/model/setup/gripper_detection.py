@@ -41,7 +41,7 @@ class GripperSpec:
     Attributes:
         end: end effector; empty: the only one without a gripper.
         drive: driven joint; empty: the only driven joint of the end effector.
-        follower: driven joint that setup couples to `drive`, because the URDF lacks a <mimic>; empty: none.
+        follower: driven joint that setup couples to `drive`, because the description does not; empty: none.
         fingers: links of the jaws on both sides; empty: recognized.
         tcp: link of the tool center, y in the closing direction, z out of the hand; empty: recognized.
         closes: limit of the driven joint at which the jaws are closed, "lower" or "upper"; empty: recognized.
@@ -193,12 +193,11 @@ def _with_gripper(model: RobotModel, end: EndEffector, fact: GripperSpec) -> Rob
     if len(found) == 1:
         return found[0]
     names = ", ".join(driven) or "fixed jaws"
-    hint = (
-        "add <equality><joint joint1=FOLLOWER joint2=DRIVE/></equality> to the MJCF file for each joint that "
+    hint = "pass --gripper with drive=JOINT follower=JOINT to couple two joints, or add " + (
+        "<equality><joint joint1=FOLLOWER joint2=DRIVE/></equality> to the MJCF file for each joint that "
         "follows another joint"
         if model.mjcf
-        else "pass --gripper with drive=JOINT follower=JOINT to couple two joints, or add "
-        '<mimic joint="..."/> in the URDF to the joints that follow another joint'
+        else '<mimic joint="..."/> in the URDF to the joints that follow another joint'
     )
     if found:
         names, hint = ", ".join(m.grippers[end.name].joint_name for m in found), "pass --gripper drive=JOINT"
