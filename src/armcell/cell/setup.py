@@ -29,7 +29,7 @@ from armcell.model.setup import (
     write_folder,
     yaml_text,
 )
-from armcell.model.setup.follower import with_follower_equality, with_follower_text
+from armcell.model.setup.follower import with_follower_equality, with_follower_text, with_limits_text
 from armcell.model.setup.gripper_detection import GripperSpec, find_grippers
 from armcell.model.urdf import load_urdf, parse_urdf
 from armcell.model.urdf_writer import urdf_of
@@ -108,6 +108,9 @@ def propose(
         name, text = merged_urdf(parts, name)
         model = parse_urdf(text, parts[0].file, warn=False)
         for fact in grippers:
+            if fact.range:
+                text = with_limits_text(text, fact.drive, *fact.range)
+                model = parse_urdf(text, parts[0].file, warn=False)
             if fact.follower:
                 text = with_follower_text(text, model, fact.drive, fact.follower)
                 model = parse_urdf(text, parts[0].file, warn=False)
@@ -133,6 +136,9 @@ def _mjcf_robot(file: Path, grippers: Sequence[GripperSpec]) -> tuple[RobotModel
     """
     model, text = load_mjcf_file(file), ""
     for fact in grippers:
+        if fact.range:
+            raise InputError("range: armcell changes no limits of an MJCF file", file=file,
+                             hint=f"set 'range' of joint {fact.drive} in the file")  # fmt: skip
         if fact.follower:
             source = read_mjcf(file)
             text = with_follower_equality(text or source.text, model, fact.drive, fact.follower)

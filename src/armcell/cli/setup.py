@@ -41,6 +41,8 @@ HELP = """The option --gripper states what setup does not recognize, as KEY=VALU
 
   follower=JOINT         joint that follows the driven joint, if the file does not couple them
 
+  range=LOWER,UPPER      limits of the driven joint [rad or m], if those in the URDF are wrong
+
   fingers=LINK,LINK      links of both jaws (several per side: A,B+C)
 
   tcp=LINK               tool center: y closes, z points out of the hand

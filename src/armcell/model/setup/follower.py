@@ -1,6 +1,6 @@
-"""Coupling of two finger joints that the robot's description does not couple: one joint follows the other.
+"""Couplings and limits of finger joints that the robot's description lacks.
 
-A URDF gets a <mimic> element, an MJCF file an <equality>.
+If one joint follows another, a URDF gets a <mimic> element, and an MJCF file an <equality>.
 """
 
 from __future__ import annotations
@@ -34,9 +34,39 @@ def with_follower_text(text: str, model: RobotModel, drive: str, follower: str) 
     """
     multiplier = multiplier_of(model, drive, follower)
     root = parse_xml(text, NOWHERE)
-    element = next(e for e in root.iterfind("joint") if e.get("name") == follower)
-    etree.SubElement(element, "mimic", joint=drive, multiplier=f"{multiplier:g}")
+    etree.SubElement(_joint(root, follower), "mimic", joint=drive, multiplier=f"{multiplier:g}")
+    limits, own = model.joints[drive].limits, model.joints[follower].limits
+    if own.lower == own.upper:
+        _set_limits(root, follower, *sorted(multiplier * q for q in (limits.lower, limits.upper)))
     return xml_text(root)
+
+
+def with_limits_text(text: str, joint: str, lower: float, upper: float) -> str:
+    """Return URDF text in which a joint has the given limits [rad or m], such as a finger's joint whose
+    limits in the file are both 0.
+
+    Raises:
+        UnknownNameError: the joint does not exist.
+    """
+    root = parse_xml(text, NOWHERE)
+    names = [str(e.get("name")) for e in root.iterfind("joint")]
+    if joint not in names:
+        raise UnknownNameError("joint", joint, names)
+    _set_limits(root, joint, lower, upper)
+    return xml_text(root)
+
+
+def _joint(root: etree._Element, name: str) -> etree._Element:
+    return next(e for e in root.iterfind("joint") if e.get("name") == name)
+
+
+def _set_limits(root: etree._Element, joint: str, lower: float, upper: float) -> None:
+    element = _joint(root, joint)
+    limit = element.find("limit")
+    if limit is None:
+        limit = etree.SubElement(element, "limit", effort="0", velocity="0")
+    limit.set("lower", f"{lower:g}")
+    limit.set("upper", f"{upper:g}")
 
 
 def with_follower_equality(text: str, model: RobotModel, drive: str, follower: str) -> str:
@@ -90,9 +120,7 @@ def _multiplier(model: RobotModel, drive: str, follower: str) -> float:
     )  # fmt: skip
     if not np.isfinite(span) or span <= 0:
         text = f"follower: joint {drive} has the range {driver.limits.lower:g} to {driver.limits.upper:g}"
-        raise InputError(
-            text, hint="give the driven joint finite and different limits in the robot's description"
-        )
+        raise InputError(text, hint="pass range=LOWER,UPPER with the limits of the driven joint")
     jaws = [tuple(model.subtree(model.joints[name].child)) for name in (drive, follower)]
     before, after = ([hand.at(links, middle + sign * STEP * span) for links in jaws] for sign in (-1.0, 1.0))
     if not all(len(points) for points in before):
