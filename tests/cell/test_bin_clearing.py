@@ -192,6 +192,16 @@ def test_what_no_hand_fits_around_is_left_with_a_reason():
         assert not live.driver.unwanted_contacts()
 
 
+@pytest.mark.long
+def test_a_flat_thing_is_picked_though_the_depth_of_the_floor_is_noisy():
+    data = with_things(box_1=(0.70, -0.32, 0.2195)).spec.model_dump(exclude_unset=True)
+    data["objects"]["box_1"] = {"box": (0.12, 0.02, 0.012), "pose": (0.7, -0.32, 0.2265), "movable": True}
+    with Cell("flat", whole().file, validated(data, whole().file)).connect("sim", seed=0) as live:
+        outcome = live.clear("bin", **CALL)
+        assert outcome.ok, outcome.message
+        assert outcome.evidence["cleared"] == 1 and not live.driver.unwanted_contacts()
+
+
 @pytest.mark.slow
 def test_a_full_tray_ends_it_and_what_was_held_is_laid_back():
     data = with_things(box_1=(0.70, -0.32, 0.2195)).spec.model_dump(exclude_unset=True)

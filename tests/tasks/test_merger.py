@@ -22,7 +22,8 @@ from armcell.tasks import (
     perform_all,
 )
 from armcell.tasks.stages import Close, Connect, MoveGripper, MoveStraight
-from armcell.tasks.steps import ParallelMotions
+from armcell.tasks.stages.fingers import opened_in_transit
+from armcell.tasks.steps import CommandGripper, ParallelMotions
 
 S = TaskSettings()
 
@@ -98,6 +99,24 @@ def test_fingers_that_would_meet_something_are_refused_and_the_reserve_is_taken(
     assert [step.name for step in planned(way, gate).best.steps] == ["through", "open"]
     opened = planned(wide, gate).best.scene
     assert not planned(through, opened).ok  # so the proof was right to fail
+
+
+def test_fingers_open_in_transit_where_they_touch_nothing(panda):
+    """A gripper motion before an arm motion joins it; before a closing hand or beside a post it does not."""
+    scene, hand, start = panda
+    narrow = scene.with_state(JointState((hand.joint_name,), np.array([hand.joint_position(0.01)])))
+    tcp = narrow.frame_pose(hand.tcp_link)
+    at = tcp @ SE3.from_xyz(0.0, 0.04, 0.0)
+    blocked = narrow.with_object(CollisionObject.single("post", Box(0.01, 0.01, 0.01), at))
+    go = Connect("turn", hand.arm_group, S.free, goal=turn(start, -0.4))
+    wide = CommandGripper("open", hand, 0.08, 20.0)
+    (motion,) = planned(go, blocked).best.steps
+    assert opened_in_transit(blocked, (wide, motion)) == (wide, motion)
+    (motion,) = planned(go, narrow).best.steps
+    (step,) = opened_in_transit(narrow, (wide, motion))
+    assert isinstance(step, ParallelMotions) and step.grips == (wide,)
+    closing = CommandGripper("close", hand, 0.0, 20.0), motion
+    assert opened_in_transit(narrow, closing) == closing
 
 
 def test_it_is_performed_at_once(panda):

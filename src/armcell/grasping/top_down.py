@@ -29,7 +29,7 @@ class TopDownGraspSettings:
     turns: int = 16  # hand orientations over half a circle
     depths: tuple[float, ...] = (0.054, 0.040, 0.028, 0.018, 0.010)  # fingertip depths below the top
     room: float = 0.009  # free space on each side of the piece, for errors of the map and the arm
-    clearance: float = 0.003  # of the fingers above the cells below them
+    clearance: float = 0.005  # of the fingers above the cells below them
     least_hold: float = 0.006  # minimum height of the piece above the fingertips
     steepest: float = 0.45  # maximum tangent of a side's slant that friction holds
     least_touch: float = 0.3  # minimum fraction of the finger width in contact; less is a corner

@@ -39,6 +39,7 @@ from armcell.tasks.context import TaskContext
 from armcell.tasks.pick import Pick, grasp_stages
 from armcell.tasks.search import PartialSolution, Stage
 from armcell.tasks.stages import AppendPlannedMotion, Connect, MoveStraight, RunSteps
+from armcell.tasks.stages.fingers import opened_in_transit
 from armcell.tasks.steps import CommandGripper, perform_all
 from armcell.tasks.task import plan_stages
 
@@ -261,6 +262,7 @@ class _PickFromHeap(Pick):
         else:
             self.grasp = solution.data["grasp"]
             counts.picks += 1
+            solution = replace(solution, steps=opened_in_transit(ctx.scene(), solution.steps))
         return solution, outcome
 
     def _candidates(self) -> list[HeapGrasp]:
@@ -291,12 +293,13 @@ class _PickFromHeap(Pick):
 
 
 def _closer(settings: TopDownGraspSettings, times: int) -> TopDownGraspSettings:
-    """Return grasp settings for clearing a bin near its walls: a smaller margin,
-    more orientations, and grasps at corners.
+    """Return grasp settings for objects near walls and for flat objects: a smaller margin,
+    more orientations, grasps at corners, and grasps of lower edges.
     """
     return replace(
         settings,
         room=settings.room / times,
         turns=times * settings.turns,
         least_touch=settings.least_touch / 2,
+        least_hold=settings.least_hold / times,
     )

@@ -14,7 +14,7 @@ class BinClearingSettings:
     """Settings for clearing a bin with a camera. All lengths are in meters."""
 
     force: float = 30.0  # [N] per finger, because weights are unknown
-    lift: float = 0.20  # lift height above the grasp
+    lift: float = 0.15  # lift height above the grasp
     above_floor: float = 0.007  # lower points belong to the floor
     resolution: float = 0.003  # cell size of the height map
     hand_room: float = 0.12  # mapped margin around the bin, for the back of the hand

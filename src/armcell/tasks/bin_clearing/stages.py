@@ -19,6 +19,7 @@ from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
+from armcell.tasks.stages.fingers import finger_collision
 from armcell.tasks.stages.grasp import APPROACH, approaches, finger_state
 from armcell.tasks.stages.moves import plan_straight, shifted, with_contacts
 from armcell.tasks.stages.place import DESCENT, descents
@@ -141,13 +142,17 @@ class ReleaseAboveTray:
 
     def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         width = min(self.gripper.width_in(solution.scene.state) + self.margin, self.gripper.max_width)
-        scene = solution.scene.with_detached(HELD).without_object(HELD)
+        scene = with_contacts(
+            solution.scene.with_detached(HELD).without_object(HELD), ((HEAP, self.gripper.hand_links),)
+        )
+        grip = CommandGripper("open", self.gripper, width, self.gripper.max_force, self.settle)
+        if reason := finger_collision(scene, [grip]):
+            planning.reject(self.name, solution.data.get("candidate", ""), reason)
+            return
         yield solution.then(
             CheckObjectInFingers(self.gripper, self.thinnest),
-            Drop(self.gripper, width, self.settle),
-            scene=with_contacts(
-                scene.with_state(finger_state(self.gripper, width)), ((HEAP, self.gripper.hand_links),)
-            ),
+            Drop(grip),
+            scene=scene.with_state(finger_state(self.gripper, width)),
         )
 
 
@@ -212,18 +217,12 @@ class CheckObjectInFingers:
 
 @dataclass(frozen=True, eq=False)
 class Drop:
-    """Step of bin clearing that opens the fingers to a width [m] and
-    removes the dropped object from the scene.
-    """
+    """Step of bin clearing that opens the fingers and removes the dropped object from the scene."""
 
-    gripper: Gripper
-    width: float
-    settle: float
+    grip: CommandGripper
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        outcome = CommandGripper(
-            "open", self.gripper, self.width, self.gripper.max_force, self.settle
-        ).perform(ctx)
+        outcome = self.grip.perform(ctx)
         detach_held(ctx)
         return outcome
 

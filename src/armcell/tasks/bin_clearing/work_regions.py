@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,7 +138,11 @@ def view_region(
     inside = seen.cells_within(*region.rectangle)
     for other in region.without:
         inside &= ~seen.cells_within(*other)
-    return RegionView(region, seen, label_pieces(seen, inside, region.floor + s.above_floor))
+    labels = label_pieces(seen, inside, region.floor + s.above_floor)
+    # the fingertips may go 3 mm above the floor, less than the noise of a camera
+    bare = inside & (labels < 0) & (seen.heights <= region.floor + s.above_floor)
+    level = replace(seen, heights=np.where(bare, region.floor, seen.heights))
+    return RegionView(region, level, labels)
 
 
 def add_heap(ctx: TaskContext, seen: RegionView) -> None:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.core import InputError, JointTrajectory
+from armcell.core import InputError, JointState, JointTrajectory
 from armcell.core.checks import checked
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.stages.grasp import finger_state
-from armcell.tasks.steps import CommandGripper
+from armcell.tasks.steps import CommandGripper, Motion, ParallelMotions, Step
 from armcell.timing.chords import chords
 
 
@@ -43,6 +43,26 @@ class MoveGripper:
             planning.reject(self.name, "", reason)
             return
         yield solution.then(grip, scene=solution.scene.with_state(finger_state(self.gripper, self.width)))
+
+
+def opened_in_transit(scene: PlanningScene, steps: Sequence[Step]) -> tuple[Step, ...]:
+    """Return the steps of a task with every gripper motion directly before an arm motion executed during this
+    arm motion, if no finger touches anything meanwhile.
+
+    Args:
+        scene: at the start of the steps, with the present finger positions.
+    """
+    found: list[Step] = []
+    for step in steps:
+        grip = found[-1] if found else None
+        if isinstance(step, Motion) and isinstance(grip, CommandGripper) and grip.width > 0:
+            fingers = grip.gripper.joint_names
+            now = JointState(fingers, scene.positions[scene.model.columns(fingers)])
+            if not finger_collision((step.planned_in or scene).with_state(now), [grip], step.trajectory):
+                found[-1] = ParallelMotions(step, (grip,))
+                continue
+        found.append(step)
+    return tuple(found)
 
 
 def finger_collision(

@@ -1,0 +1,152 @@
+"""Bins of mixed objects that a UR10 clears with nothing but the images of two depth cameras.
+
+    python -m benchmarks.bins --seeds 20 --counts 12 20
+    python -m benchmarks.bins --meshes FOLDER         # other objects: all meshes of a folder, at true scale
+
+Each bin holds objects of the grasp benchmark (`grasp_objects`) that are graspable on each side, drawn at
+random and dropped in physics. The
+cell is `bin_clearing` with these objects instead of its own. A bin is cleared if every object is in the tray,
+by the true poses. Picks per hour count placed objects per simulated time of the whole task, the last looks
+and failed picks included; planning costs no simulated time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+import armcell
+from armcell.cell import run_task
+from armcell.core import SE3, SO3
+from armcell.grasping import hand_of, stable_poses
+from armcell.scene import Material, mesh_object
+from benchmarks import grasp_objects
+from benchmarks.grasp_objects import FRICTION, HALVES
+
+BIN_TARGET, RATE_TARGET = 0.95, 600  # share of cleared bins, picks per hour
+LONGEST = 0.18  # [m] longest side of an object, less than half of the bin's
+NARROW = 0.07  # [m] limit of the two shorter sides
+DENSITY = 600.0  # [kg/m^3]
+SUFFIXES = (".stl", ".obj", ".ply")
+
+
+@dataclass(frozen=True)
+class Run:
+    """Result of one bin: objects in the tray of all, simulated time [s], picks, and the text of a failure."""
+
+    objects: int
+    cleared: int
+    time: float
+    picks: int
+    contacts: int
+    message: str
+
+
+def set_of(half: str | None) -> list[Path]:
+    """Return the meshes of the set, or of one half of it."""
+    return [
+        grasp_objects.folder(e.source) / grasp_objects.WHEELS[e.source][1] / e.file
+        for e in grasp_objects.listed()
+        if half in (None, e.half)
+    ]
+
+
+def fits(file: Path, cell: armcell.Cell) -> bool:
+    """Return whether an object fits the bin and the gripper, and is graspable on each of its sides by the
+    written rule of `grasp_objects`.
+    """
+    item = mesh_object(file.stem, file, density=DENSITY, material=Material(FRICTION))
+    low, high = item.bounds()
+    sides = np.sort(high - low)
+    if sides[2] > LONGEST or sides[1] > NARROW:
+        return False
+    gripper = next(iter(cell.model.grippers.values()))
+    pad = hand_of(cell.model, gripper).pad
+    sides_down = [SE3(SO3.between(pose.up, (0.0, 0.0, 1.0)), np.zeros(3)) for pose in stable_poses(item)]
+    return all(not grasp_objects.graspable(item.at(T), cell.model, gripper, pad) for T in sides_down)
+
+
+def cell_with(files: Sequence[Path], folder: Path) -> armcell.Cell:
+    """Write the cell `bin_clearing` with an object for each of the given meshes, and load it."""
+    source = Path(armcell.load("bin_clearing").file)
+    spec = yaml.safe_load(source.read_text())
+    own = spec["drop"]["objects"]
+    poses = [spec["objects"].pop(name)["pose"] for name in own]
+    names = []
+    for i, (file, pose) in enumerate(zip(files, poses)):
+        names.append(f"{file.stem}_{i}")
+        spec["objects"][names[-1]] = {
+            "mesh": str(file), "pose": pose, "movable": True, "density": DENSITY, "friction": FRICTION,
+        }  # fmt: skip
+    spec["drop"]["objects"] = spec["perception"]["objects"] = names
+    (folder / "task.py").write_text((source.parent / "task.py").read_text())
+    target = folder / "cell.yaml"
+    target.write_text(yaml.safe_dump(spec, sort_keys=False))
+    return armcell.load(str(target))
+
+
+def run(cell: armcell.Cell, seed: int) -> Run:
+    """Drop the objects of a cell with a seed, clear the bin, and return what is in the tray."""
+    with cell.connect("sim", seed=seed) as live:
+        result = run_task(cell, live, seed, "sim")
+    evidence = result["measures"]
+    return Run(
+        evidence["things"], evidence["cleared"], result["task_time_s"], evidence["picks"],
+        len(result["unwanted_contacts"]), "" if result["success"] else result["message"],
+    )  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Clear the bins and print the table; 1 if a target is missed."""
+    ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    ask.add_argument("--seeds", type=int, default=20, help="bins of each size")
+    ask.add_argument("--first", type=int, default=0, help="first seed")
+    ask.add_argument("--counts", type=int, nargs="+", default=[12, 20], help="objects per bin, at most 20")
+    ask.add_argument("--half", choices=HALVES, help="only objects of this half of the set")
+    ask.add_argument("--meshes", type=Path, help="folder of other meshes, at true scale")
+    ask.add_argument("--keep", type=Path, help="folder for the cells of bins that were not cleared")
+    a = ask.parse_args(arguments)
+    other = sorted(p for p in a.meshes.rglob("*") if p.suffix.lower() in SUFFIXES) if a.meshes else None
+    bin_clearing = armcell.load("bin_clearing")
+    files = [f for f in (set_of(a.half) if other is None else other) if fits(f, bin_clearing)]
+    print(f"{len(files)} kinds of objects: {', '.join(file.stem for file in files)}")
+    missed = False
+    for count in a.counts:
+        runs = []
+        for seed in range(a.first, a.first + a.seeds):
+            rng = np.random.default_rng((seed, count))
+            chosen = [files[i] for i in rng.choice(len(files), count, replace=len(files) < count)]
+            with tempfile.TemporaryDirectory() as scratch:
+                folder = a.keep / f"bin_{count}_{seed}" if a.keep else Path(scratch)
+                folder.mkdir(parents=True, exist_ok=True)
+                cell, began = cell_with(chosen, folder), time.process_time()
+                found = run(cell, seed)
+            runs.append(found)
+            print(
+                f"{count} objects, seed {seed}: {found.cleared} cleared in {found.time:.0f} s, {found.picks} "
+                f"picks, {found.contacts} unwanted contacts, {time.process_time() - began:.0f} CPU-s "
+                f"{found.message}",
+                flush=True,
+            )
+        whole = sum(r.cleared == r.objects for r in runs)
+        rate = 3600 * sum(r.cleared for r in runs) / sum(r.time for r in runs)
+        contacts = Counter(r.contacts > 0 for r in runs)[True]
+        print(
+            f"\n{count} objects: {whole} of {len(runs)} bins cleared (target {BIN_TARGET:.0%}), "
+            f"{sum(r.cleared for r in runs)} of {sum(r.objects for r in runs)} objects; "
+            f"{rate:.0f} picks per hour (target {RATE_TARGET}); {contacts} bins with unwanted contacts\n"
+        )
+        missed |= whole < BIN_TARGET * len(runs) or rate < RATE_TARGET or contacts > 0
+    return int(missed)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
