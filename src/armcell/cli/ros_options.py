@@ -165,8 +165,7 @@ def join_ros1(
 
 
 def reserve_transport(stack: ExitStack, transport: Transport) -> Join:
-    """Reserve the port of a transport (ROS 1, Unity) for a command,
-    and return a function that opens the transport.
+    """Reserve the port of a transport (ROS 1, Unity), and return a function that opens the transport.
 
     Raises:
         InputError: the port is in use.

@@ -13,8 +13,8 @@ NEAR = 0.002
 
 
 def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tuple[str, ...]:
-    """Return the links within a distance [m] of an object, nearest first.
-    They may touch the object (touch links).
+    """Return the links within a distance [m] of a held object, nearest first. The planning scene should allow
+    their contact with the object (touch links).
 
     Allowed contacts of the scene do not affect the result.
 

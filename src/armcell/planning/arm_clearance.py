@@ -49,8 +49,8 @@ def achievable_arm_clearance(
     goals: Sequence[Array],
     wanted: float,
 ) -> ArmClearance | None:
-    """Compute the largest clearance between a group's arms that the collision-free start and at least one of
-    the goals (n,) keep.
+    """Compute the largest clearance between the arms of a group at which the start and at least one of the
+    goals (n,) are still valid.
 
     Returns:
         The clearance, at most `wanted` [m]; None for fewer than two arms or a zero `wanted`.

@@ -29,8 +29,8 @@ UNTOLD = 1.0  # [kg] prior standard deviation of a mass: keeps poorly observable
 
 @dataclass(frozen=True, eq=False)
 class LoadEfforts:
-    """Joint efforts from which the load on the flange is estimated: efforts per kilogram of load, and efforts
-    that accelerate the arm without a load.
+    """Joint efforts with which the load on the flange is estimated: those that a load of 1 kg adds, and those
+    that accelerate the empty arm.
     """
 
     weight: Array  # (k, n) [Nm/kg] gravity torque of a mass at the flange

@@ -159,10 +159,10 @@ def _follow(
 
 
 def _are_fingers(depths: list[int], joints: int) -> bool:
-    """Return whether branches after a number of joints in series are the fingers of a hand, not arms.
+    """Return whether the branches at the end of a serial chain of joints are fingers of a hand, not arms.
 
     Fingers have fewer joints than their arm. Three or more long branches may also have as many joints as the
-    joints in series: the fingers of TIAGo's hand have as many as its arm.
+    chain: the fingers of TIAGo's hand have as many as its arm.
 
     Args:
         depths: number of joints of each branch.

@@ -183,8 +183,8 @@ class Diagnosis:
 
     @cached_property
     def checker(self) -> KernelChecker:
-        """Collision checker for the start scene of a diagnosis.
-        It reduces the padding at the start just as the planner does.
+        """Collision checker for the scene in which the failed request starts. If the start state is within
+        the padding, the checker reduces the padding, as the planner does.
         """
         checker = KernelChecker(self.start_scene, self.joint_names)
         if np.isfinite(self.start).all() and not checker.touches(self.start):

@@ -282,8 +282,8 @@ def add_frames(parent: Element, scope: Scope) -> None:
 
 
 def saved_poses(world: Element) -> dict[str, SE3]:
-    """Return the world poses of SDF models that Gazebo Classic saved in a <state>, by MODEL or
-    MODEL::LINK.
+    """Return the world poses that Gazebo Classic saved in a <state> of an SDF file. The keys are the names of
+    models (MODEL) and of links (MODEL::LINK).
     """
     poses: dict[str, SE3] = {}
     for state in children(world, "state")[:1]:
