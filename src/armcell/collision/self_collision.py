@@ -38,7 +38,10 @@ Masks = NDArray[np.uint16]
 CHUNK = 4096  # samples between two calls of `progress`
 Array = NDArray[np.float64]
 Progress = Callable[[int], None]
-NEAR_DISTANCE = 0.03  # [m] samples with a smaller distance are start states of the search for contact
+NEAR_DISTANCE = 0.03  # [m] samples with a smaller distance may be start states of the search for contact
+NEARER = (0.01, 0.003, 0.001)  # [m] the search starts in the samples of the smallest distance first
+COMPARED = 4096  # near samples of a pair that are compared by distance
+AT_ONCE = 256  # pairs whose near samples are in memory together: 25 MB at 100,000 samples
 RARE = 2000  # with more contact samples of the (larger) kernel solids, the meshes certainly touch, too
 ALWAYS_SAMPLES = 2000  # samples in which the meshes must touch before a pair counts as always in contact
 FIRST = 16384  # samples of all pairs; further samples are only for pairs that touch in few of these
@@ -124,6 +127,8 @@ class PairSampler:
 
 
 STARTS, STEPS = 6, 120  # start states of the search per pair, and steps per start state
+MORE = 48  # start states, as long as the search comes closer than CLOSE, and closer with every STARTS states
+CLOSE, CLOSER = 0.002, 0.95  # [m]; share of the last smallest distance
 
 
 @dataclass(frozen=True)
@@ -256,8 +261,8 @@ class _Survey:
         collect the sampled states in which the two links are close.
 
         Returns:
-            Number of contact samples and of all samples by pair, and states (k, dof) in which the links are
-            near, by pair; the second result leaves out pairs that are proven apart.
+            Number of contact samples and of all samples by pair, and start states (k, dof) of the search for
+            contact by pair, nearest first; the second result leaves out pairs that are proven apart.
         """
         if self.model.dof == 0:
             return {}, {}
@@ -281,12 +286,30 @@ class _Survey:
                 counts[n] = 0
             elif counts[n] == len(close[n]):
                 counts[n] -= not all(self._touch(a, b, q) for q in states[:ALWAYS_SAMPLES])
-        never = numbers[counts == 0]
-        near = sampler.contact_masks(never, self.states, NEAR_DISTANCE)
         unproven = dict.fromkeys(names, np.zeros((0, self.model.dof)))
-        for n, rows in zip(never, near, strict=True):
-            unproven[names[n]] = self.states[np.flatnonzero(rows)]
+        never = numbers[counts == 0]
+        for begin in range(0, len(never), AT_ONCE):
+            some = never[begin : begin + AT_ONCE]
+            near = sampler.contact_masks(some, self.states, NEAR_DISTANCE)
+            for n, rows in zip(some.tolist(), near, strict=True):
+                unproven[names[n]] = self.states[self._nearest(sampler, n, np.flatnonzero(rows))]
         return {names[n]: (int(counts[n]), len(close[n])) for n in numbers}, unproven
+
+    def _nearest(self, sampler: PairSampler, pair: int, near: I64) -> list[int]:
+        """Return the start states of the search for contact of a link pair, as indices in `states`, nearest
+        first.
+
+        Args:
+            pair: index in the sampler's pairs.
+            near: (k,) indices of the states in which the links are nearer than `NEAR_DISTANCE`.
+        """
+        levels = [self.rng.permutation(near)[:COMPARED]]
+        for within in NEARER:
+            if len(levels[-1]) > 1:
+                rows = sampler.contact_masks(np.array([pair]), self.states[levels[-1]], within)[0]
+                levels.append(levels[-1][rows])
+        nearest = dict.fromkeys(i for level in reversed(levels) for i in level[:MORE].tolist())
+        return list(nearest)[:MORE]
 
     def _default(self, every: Iterable[tuple[str, str]]) -> set[frozenset[str]]:
         """Return the link pairs that are in self-collision in the default state or in a named state of a
@@ -345,18 +368,22 @@ class _Survey:
     def _solid_pairs(self, a: str, b: str) -> NDArray[np.int64]:
         return np.array([(i, j) for i in self.solids[a] for j in self.solids[b]])
 
-    def _can_meet(self, a: str, b: str, near: Array) -> bool:
+    def _can_meet(self, a: str, b: str, starts: Array) -> bool:
         """Search for a state in which two links are in self-collision, by a random local search.
 
         Args:
-            near: (k, dof) states in which the links are near; some of them are start states.
+            starts: (k, dof) states in which the search starts.
         Returns:
             True if the search finds a contact.
         """
         columns = self._between(a, b)
         low, high = self.model.lower[columns], self.model.upper[columns]
-        starts = near[self.rng.permutation(len(near))[:STARTS]]
-        for start in starts:
+        least = before = np.inf
+        for number, start in enumerate(starts):
+            if number and number % STARTS == 0:
+                if least > min(CLOSE, CLOSER * before):
+                    return False
+                before = least
             q, step = start.copy(), 0.2
             self.exact.set_configuration(q)
             best = self._distance(a, b)
@@ -372,6 +399,7 @@ class _Survey:
                     q, best, step = trial, distance, min(step * 1.5, 0.5)
                 else:
                     step = max(step * 0.85, 1e-3)
+            least = min(least, best)
         return False
 
     def _between(self, a: str, b: str) -> list[int]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.convex_decomposition import convex_pieces
-from armcell.core import InputError, Mesh
+from armcell.core import SE3, InputError, Mesh, Shape
 from armcell.core.geometry import local_bounds
 from armcell.grasping.hand_fit_kernel import MARGIN, WIDER
 from armcell.kinematics import kinematic_tree
@@ -20,6 +21,8 @@ Array = NDArray[np.float64]
 
 OVERLAP = 0.001  # [m] smallest width and height of a pad
 THINNEST = 5e-4  # [m] compression beyond the closed jaws with which a hand holds an object
+SLANTED = 0.001  # [m] by which a finger's box exceeds the pads' plane from which on slabs replace the box
+SLAB = 0.01  # [m] largest height of a slab
 AT_THE_PAD = 0.001  # [m] maximum distance of a finger box from the closing plane to count as a pad
 
 
@@ -96,9 +99,13 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
                 side = sides.get(name, "left" if box[1] + box[4] > 0 else "right")
                 if name not in gripper.finger_links:
                     side = "palm"
-                elif gripper.curve:
-                    box[[1, 4]] += width / 2 if side == "right" else -width / 2
-                groups[side].append(box)
+                    groups[side].append(box)
+                    continue
+                open_by = (width / 2 if side == "right" else -width / 2) if gripper.curve else 0.0
+                inside = box[1] + open_by if side == "left" else -box[4] - open_by
+                for part in _slabs(piece, T) if inside < -SLANTED else [box]:
+                    part[[1, 4]] += open_by
+                    groups[side].append(part)
     if isinstance(gripper, SuctionGripper):
         centers = [(T_tcp_world @ tree.link_pose(q, c.link) @ c.T_link_cup).translation for c in cups]
         palm, none = np.array(groups["palm"]).reshape(-1, 6), np.zeros((0, 6))
@@ -113,6 +120,40 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
     ends = [model.limits(gripper.joint_names, kind)[0] for kind in ("lower", "upper")]
     closed = min(gripper.width(float(q)) for q in ends)
     return Hand(gripper, palm, left, right, pad, max(closed, 0.0) + THINNEST)
+
+
+def _outline(piece: Shape) -> tuple[Array, NDArray[np.int32]]:
+    """Return the corners (n, 3) and edges (k, 2) of a convex mesh, or of another shape's bounding box."""
+    if isinstance(piece, Mesh):
+        faces = np.asarray(piece.faces)
+        return np.asarray(piece.vertices), np.concatenate(
+            [faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]
+        )
+    center, half = local_bounds(piece)
+    signs = np.array(list(np.ndindex(2, 2, 2)))
+    pairs = [(a, b) for a in range(8) for b in range(a) if np.abs(signs[a] - signs[b]).sum() == 1]
+    return center + (2 * signs - 1) * half, np.array(pairs, dtype=np.int32)
+
+
+def _slabs(piece: Shape, T_tcp_piece: SE3) -> list[Array]:
+    """Return boxes (6,) around slabs of a convex piece of a finger, each at most `SLAB` high along z of the
+    tcp frame. They follow a slanted finger; one box around it would fill the space between the pads.
+    """
+    corners, edges = _outline(piece)
+    corners = T_tcp_piece.apply(corners)
+    low, high = corners[:, 2].min(), corners[:, 2].max()
+    planes = np.linspace(low, high, max(int(np.ceil((high - low) / SLAB)), 1) + 1)
+    a, b = corners[edges[:, 0]], corners[edges[:, 1]]
+    boxes = []
+    for bottom, top in pairwise(planes):
+        points = [corners[(corners[:, 2] >= bottom) & (corners[:, 2] <= top)]]
+        for z in (bottom, top):
+            cut = np.flatnonzero((a[:, 2] - z) * (b[:, 2] - z) < 0)
+            share = (z - a[cut, 2]) / (b[cut, 2] - a[cut, 2])
+            points.append(a[cut] + share[:, None] * (b[cut] - a[cut]))
+        found = np.concatenate(points)
+        boxes.append(np.concatenate([found.min(0), found.max(0)]))
+    return boxes
 
 
 def _pad(left: Array, right: Array) -> Array:

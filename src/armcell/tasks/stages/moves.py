@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
     SE3,
     SO3,
@@ -160,11 +161,26 @@ class MoveStraight:
         def over(length: float) -> PlanResult:
             x, y, z = np.asarray(self.offset) * (length / distance)
             target = shifted(start, (x, y, z), self.in_tip_frame)
-            return plan_straight(scene, self.group, self.link, target, self.speed)
+            result = plan_straight(scene, self.group, self.link, target, self.speed)
+            if length < distance and result.ok and _ends_in_contact(solution.scene, result):
+                what = ", ".join(body for body, _ in self.allow)
+                text = f"after {1000 * length:.0f} of {1000 * distance:.0f} mm, {what} is still in contact"
+                return replace(result, code=ErrorCode.GOAL_IN_COLLISION, message=text)
+            return result
 
         least = distance if self.least is None else self.least
         result = plan_within_reach(over, distance, least)
         yield from with_motion(solution, planning, self.name, result, planned_in=scene)
+
+
+def _ends_in_contact(scene: PlanningScene, result: PlanResult) -> bool:
+    """Return whether a motion ends in a state that the next motion cannot start from, because contacts are
+    allowed only during the motion: an open hand may still surround the object.
+    """
+    assert result.trajectory is not None
+    end = result.trajectory.end
+    checker = KernelChecker(scene.with_state(end), end.joint_names)
+    return not checker.is_free(np.asarray(end.positions))
 
 
 @stage_types.register("run_steps")
