@@ -40,10 +40,11 @@ from armcell.grasping.quality import (
     hull_quality,
     robustness,
 )
-from armcell.grasping.stability import StablePose, resting_now, stable_poses
+from armcell.grasping.stability import resting_now, stable_poses
 from armcell.grasping.support import support_surface, tilt_of
 from armcell.grasping.surface import Surface, cloud_surface, surface_of
 from armcell.grasping.top_down import HeapGrasp, TopDownGraspSettings, top_down_grasps
+from armcell.scene.resting import StablePose
 
 __all__ = [
     "FRICTION_MARGIN",

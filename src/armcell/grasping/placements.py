@@ -11,10 +11,11 @@ from armcell.core import SE3, SO3, InputError
 from armcell.core.checks import checked, float_array, is_number, require, unit_vector
 from armcell.core.geometry import extent
 from armcell.grasping.grasp import pair_friction
-from armcell.grasping.stability import StablePose, margin_of, polygon, resting_now, stable_poses
+from armcell.grasping.stability import resting_now, stable_poses
 from armcell.grasping.support import LEVEL, support_surface, tilt_of
 from armcell.grasping.surface import surface_of
 from armcell.scene import CollisionObject
+from armcell.scene.resting import StablePose, margin_of, polygon
 
 RELEASE_GAP = 0.001  # [m] above the support when the fingers open
 STABILITY_MARGIN = 0.004  # [m] margin of the base to the support's edge, and of the mass to the base's edge

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, Box, Cylinder, InputError, Mesh
-from armcell.grasping.stability import polygon
 from armcell.scene import CollisionObject
+from armcell.scene.resting import polygon
 
 LEVEL = float(np.arccos(0.999))  # [rad] maximum tilt of a level surface
 UPWARD = np.deg2rad(75)  # [rad] steeper surfaces are walls
