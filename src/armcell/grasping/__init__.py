@@ -17,11 +17,12 @@ from armcell.grasping.grasp import (
     grip_force,
     nearest_miss,
     needed_force,
+    openings,
     pair_friction,
     rejection_sort_key,
     why_none,
 )
-from armcell.grasping.hand import Hand, hand_of, pre_opening
+from armcell.grasping.hand import POSE_ERROR, Hand, hand_of, pre_opening
 from armcell.grasping.placements import (
     FRICTION_MARGIN,
     RELEASE_GAP,
@@ -48,6 +49,7 @@ from armcell.grasping.top_down import HeapGrasp, TopDownGraspSettings, top_down_
 __all__ = [
     "FRICTION_MARGIN",
     "LIFT_ACCELERATION",
+    "POSE_ERROR",
     "RELEASE_GAP",
     "Grasp",
     "Hand",
@@ -73,6 +75,7 @@ __all__ = [
     "lowest_point",
     "nearest_miss",
     "needed_force",
+    "openings",
     "pair_friction",
     "place_candidates",
     "placement_axis",
