@@ -130,7 +130,7 @@ def test_a_grasp_with_a_replacement_is_not_rejected(monkeypatch):
     answers = [replace(grasp, name="turned"), Rejection("turned", "too wide", 1, 0.0)]
     monkeypatch.setattr(few_joints, "_rotated_grasps", lambda *_: iter(answers))
     rejected: dict[str, str] = {}
-    found = few_joints.grasps_in_reach(scene, gripper(), item, [grasp], 1, 0.0, rejected.__setitem__)
+    found = few_joints.grasps_in_reach(scene, gripper(), item, [grasp], 1, rejected.__setitem__)
     assert [g.name for g in found] == ["turned"] and not rejected
 
 

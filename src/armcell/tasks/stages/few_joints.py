@@ -17,6 +17,7 @@ import numpy as np
 
 from armcell.core import SE3, SO3, Capsule, Cylinder, Sphere
 from armcell.grasping import (
+    POSE_ERROR,
     RELEASE_GAP,
     Grasp,
     Placement,
@@ -72,7 +73,7 @@ class _Family:
 
 def grasps_in_reach(
     scene: PlanningScene, gripper: Gripper, item: CollisionObject, grasps: Sequence[Grasp], enough: int,
-    pose_error: float, reject: Callable[[str, str], None],
+    reject: Callable[[str, str], None], pose_error: float = POSE_ERROR,
 ) -> list[Grasp]:  # fmt: skip
     """Return the grasps that an arm with few joints reaches, best first. Collisions are not checked.
 
@@ -82,8 +83,8 @@ def grasps_in_reach(
     Args:
         grasps: grasp candidates, best first.
         enough: number of reached grasps at which the search for replacements ends.
-        pose_error: [m] distance by which the object's true pose may differ from the believed one.
         reject: receives the name of each grasp that no rotation about an axis replaces, and the reason.
+        pose_error: [m] distance by which the object's true pose may differ from the believed one.
     """
     ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
     found: list[Grasp] = []

@@ -149,7 +149,7 @@ class ChooseGrasp:
         if has_few_joints(solution.scene.model, self.gripper):
             near = grasps_in_reach(
                 solution.scene, self.gripper, item, grasps[: s.max_candidates * self.wider],
-                s.max_candidates, s.pose_error, partial(planning.reject, self.name),
+                s.max_candidates, partial(planning.reject, self.name), s.pose_error,
             )  # fmt: skip
             grasps = [g for g in near if g.name not in self.excluded]
         proofs: dict[str, GraspProof] = {}
