@@ -15,7 +15,7 @@ from armcell.core import InputError
 Row = Mapping[str, Any]
 
 UNSIDED = 0.1  # maximum distance of the AUC from 0.5 at which no side of the range is better
-FEWEST = 5  # successes, and failures, below which no effect of a parameter can be told
+FEWEST = 5  # least number of successes, and of failures, that shows an effect of a parameter
 ALPHA = 0.05  # significance level; all intervals are 95 % intervals
 
 
