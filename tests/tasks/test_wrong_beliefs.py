@@ -123,3 +123,13 @@ def test_the_opening_follows_the_setting():
         with cell.connect("fake", 0, settings=settings) as live:
             outcome = live.arm.pick("cube")
             assert outcome.ok and outcome.evidence["grasp"].opening == pytest.approx(opening, abs=1e-4)
+
+
+def test_a_measured_height_stays():
+    """The fake robot knows where its objects are, also if one hangs in the air."""
+    cell, _ = panda_pick((0.0, 0.0, 0.0))
+    scene = cell.scene()
+    above = scene.object("cube").T_world_object.shifted(z=0.004)
+    with cell.connect("fake", 0, scene=scene.with_object_pose("cube", above)) as live:
+        assert live.arm.pick("cube").ok
+        assert not [text for text in texts(live, "note") if "corrected" in text]

@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from armcell.core import SE3, ErrorCode, JointTrajectory, Outcome
+from armcell.core import ErrorCode, JointTrajectory, Outcome
 from armcell.drivers import Capability
 from armcell.grasping import Grasp, hand_of, surface_of
 from armcell.model import Gripper, SuctionGripper
@@ -18,8 +19,12 @@ from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
 from armcell.tasks.steps import DONE, EMPTY, DropMonitor, Motion
 
+Array = NDArray[np.float64]
+
 CONTACT = "contact"  # evidence key of approaches that a contact stopped
 FORCE_CHECK_PERIOD = 0.008  # [s] between two readings of the force on the hand
+SAME_POINT = 0.006  # [m] from the measured point of a contact to the surface that explains it
+DIRECTIONS = 16  # of these displacements
 SHIFT_STEP = 0.0005  # [m] between two displacements of the object that could explain a contact
 FARTHEST = 0.02  # [m] largest displacement that a contact shows
 
@@ -30,13 +35,13 @@ class HandContact:
 
     Attributes:
         force: [N] on the hand.
-        along: [m] point of the contact along the closing axis, from the grip center.
+        at: (2,) [m] point of the contact along x and y (the closing axis) of the tcp, from the grip center.
         is_on_finger: whether this point is on a finger. Otherwise, the object touches the palm.
         remaining: [m] distance from the hand to the grasp.
     """
 
     force: float
-    along: float
+    at: Array
     is_on_finger: bool
     remaining: float
 
@@ -78,56 +83,66 @@ class Approach(Motion):
         return Outcome(ErrorCode.CONTROL_FAILED, text, evidence)
 
     def _measured(self, contact: HandContact) -> str:
-        aside = f", {contact.along * 1000:+.0f} mm from its center" if contact.is_on_finger else ""
+        aside = f", {contact.at[1] * 1000:+.0f} mm from its center" if contact.is_on_finger else ""
         return (
             f"{contact.remaining * 1000:.0f} mm before the grasp "
             f"(measured: {contact.force:.0f} N on the hand{aside})"
         )
 
-    def _contact(
-        self, ctx: TaskContext, gripper: Gripper, grasp: Grasp, wrench: np.ndarray | None
-    ) -> HandContact:
+    def _contact(self, ctx: TaskContext, gripper: Gripper, grasp: Grasp, wrench: Array | None) -> HandContact:
         scene = ctx.scene()
         T_world_tcp = scene.frame_pose(gripper.tcp_link)
         T_tcp_grasp = T_world_tcp.inverse() @ scene.object(self.object).T_world_object @ grasp.T_object_tcp
         remaining = float(np.linalg.norm(T_tcp_grasp.translation))
         if wrench is None:
-            return HandContact(0.0, 0.0, False, remaining)
+            return HandContact(0.0, np.zeros(2), False, remaining)
         R = T_world_tcp.rotation.matrix
         force, torque = R.T @ wrench[:3], R.T @ wrench[3:]
-        center = float(gripper.grip_center(grasp.width, grasp.opening).translation[1])
-        # torque = point x force, and the force acts mainly against the approach
-        along = float(torque[0] / force[2]) - center if abs(force[2]) > abs(force[:2]).max() else 0.0
-        return HandContact(float(np.linalg.norm(force)), along, abs(along) > grasp.opening / 2, remaining)
+        center = gripper.grip_center(grasp.width, grasp.opening).translation[:2]
+        at = np.zeros(2)
+        if abs(force[2]) > abs(force[:2]).max():  # against the approach, at the tips of the fingers
+            tip = float(hand_of(scene.model, gripper).left[:, 5].max())
+            # torque = point x force
+            at = np.array([tip * force[0] - torque[1], tip * force[1] + torque[0]]) / force[2] - center
+        on_finger = bool(abs(at[1]) > grasp.opening / 2)
+        return HandContact(float(np.linalg.norm(force)), at, on_finger, remaining)
 
 
-def shift_shown(scene: PlanningScene, item: str, gripper: Gripper, contact: HandContact) -> float:
-    """Return the smallest displacement [m] of an object along the closing axis with which the object would
-    touch the finger that a contact shows; 0 if there is none.
+def shift_shown(scene: PlanningScene, item: str, gripper: Gripper, contact: HandContact) -> Array:
+    """Return the smallest displacement (3,) [m] of an object across the approach with which the object would
+    touch the finger at the point that a contact shows, in the world frame. It is zero if there is none.
+
+    With this displacement, the object does not touch the other finger.
 
     Args:
         scene: with the hand where the contact stopped it.
     """
+    none = np.zeros(3)
     if not contact.is_on_finger:
-        return 0.0
-    hand, known, side = hand_of(scene.model, gripper), scene.object(item), float(np.sign(contact.along))
-    T_tcp_object = scene.frame_pose(gripper.tcp_link).inverse() @ known.T_world_object
-    width = gripper.width_in(scene.state)
-    points = (gripper.center(width).inverse() @ T_tcp_object).apply(surface_of(known).points)
-    boxes = (hand.left if side > 0 else hand.right) + np.array([0, side * width / 2, 0] * 2)
-    for shift in np.arange(0.0, FARTHEST, SHIFT_STEP):
-        at = points + np.array([0.0, side * shift, 0.0])
-        if any(np.any(np.all((at > box[:3]) & (at < box[3:]), axis=1)) for box in boxes):
-            return side * float(shift)
-    return 0.0
+        return none
+    hand, known, side = hand_of(scene.model, gripper), scene.object(item), float(np.sign(contact.at[1]))
+    T_world_tcp, width = scene.frame_pose(gripper.tcp_link), gripper.width_in(scene.state)
+    T_center_object = gripper.center(width).inverse() @ T_world_tcp.inverse() @ known.T_world_object
+    points = T_center_object.apply(surface_of(known).points)
+    touching, other = (hand.left, hand.right) if side > 0 else (hand.right, hand.left)
+    away = np.array([0.0, side * width / 2, 0.0] * 2)
+    angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+    for size in np.arange(0.0, FARTHEST, SHIFT_STEP):
+        for angle in angles if size else angles[:1]:
+            shift = size * np.array([np.cos(angle), np.sin(angle), 0.0])
+            at = points + shift
+            touched = at[_inside(at, touching + away)]
+            if not len(touched) or _inside(at, other - away).any():
+                continue
+            if np.linalg.norm(touched[:, :2] - contact.at, axis=1).min() < SAME_POINT:
+                return T_world_tcp.rotation.matrix @ shift
+    return none
 
 
-def shifted_along_closing(scene: PlanningScene, item: str, gripper: Gripper, shift: float) -> SE3:
-    """Return T_world_object of an object that is displaced along the closing axis of a hand by a distance
-    [m].
-    """
-    x, y, z = scene.frame_pose(gripper.tcp_link).rotation.matrix[:, 1] * shift
-    return scene.object(item).T_world_object.shifted(float(x), float(y), float(z))
+def _inside(points: Array, boxes: Array) -> NDArray[np.bool_]:
+    """Return which points (n, 3) are inside one of the boxes (k, 6) of a hand."""
+    at = points[:, None]
+    return np.all((at > boxes[:, :3]) & (at < boxes[:, 3:]), axis=2).any(1)
 
 
 class _ContactMonitor(DropMonitor):
@@ -145,7 +160,7 @@ class _ContactMonitor(DropMonitor):
         self._gripper = gripper
         self._zero = ctx.driver.wrench(gripper.name)
         self._next_force = ctx.driver.now
-        self.wrench: np.ndarray | None = None
+        self.wrench: Array | None = None
 
     def is_set(self) -> bool:
         driver = self._ctx.driver

@@ -21,7 +21,7 @@ from armcell.core import ErrorCode, InputError, Outcome
 from armcell.execution import SCENE_INVALIDATED
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
-from armcell.tasks.approach import CONTACT, HandContact, shift_shown, shifted_along_closing
+from armcell.tasks.approach import CONTACT, HandContact, shift_shown
 from armcell.tasks.context import TaskContext
 from armcell.tasks.search import Lookahead, PartialSolution, SearchState, Stage
 from armcell.tasks.settings import TaskSettings
@@ -242,7 +242,7 @@ class _PickAtRest(Pick):
 
     def recover(self, outcome: Outcome) -> bool:
         ctx, item, contact = self._ctx, self._item, outcome.evidence.get(CONTACT)
-        shift, scene = 0.0, ctx.scene()
+        shift, scene = np.zeros(3), ctx.scene()
         if isinstance(contact, HandContact):  # before the hand moves
             shift = shift_shown(scene, item, self._gripper, contact)
         super().recover(outcome)
@@ -253,10 +253,11 @@ class _PickAtRest(Pick):
             ctx.look()
             seen = ctx.scene().objects.get(item)
             return seen is not None and before.distance_to(seen.T_world_object)[0] > SAME_POSE
-        if not shift:
+        if not shift.any():
             return False
-        ctx.correct_pose(item, shifted_along_closing(scene, item, self._gripper, shift))
-        text = f"the contact shows {item} at least {1000 * abs(shift):.0f} mm beside its believed pose"
+        ctx.correct_pose(item, scene.object(item).T_world_object.shifted(*shift.tolist()))
+        size = 1000 * float(np.linalg.norm(shift))
+        text = f"the contact shows {item} at least {size:.0f} mm beside its believed pose"
         ctx.emit("note", f"{text}: corrected")
         return True
 
@@ -269,10 +270,13 @@ def rest_object(ctx: TaskContext, item: str) -> None:
     """
     scene = ctx.scene()
     shift = resting_shift(scene, item, ctx.settings.pose_error)
-    if shift:
+    if not shift:
+        return
+    T = scene.object(item).T_world_object
+    ctx.correct_pose(item, T.shifted(z=shift))
+    if ctx.scene().object(item).T_world_object.distance_to(T)[0] > 0:  # not measured by the driver
         way = "inside its support" if shift > 0 else "above its support"
         text = f"believed: the scene has {item} {abs(shift) * 1000:.1f} mm {way}; it rests on it"
-        ctx.correct_pose(item, scene.object(item).T_world_object.shifted(z=shift))
         ctx.emit("note", f"{text}: corrected")
 
 
