@@ -33,7 +33,7 @@ LIVE = (
 set the last two in the process that imports them.
 """
 PRELOADED = (
-    "armcell.cli.main", "armcell.cell.live", "armcell.cell.script", "armcell.records",
+    "armcell.cli.main", "armcell.cell.live", "armcell.cell.task_run", "armcell.records",
     "armcell.records.plots", "armcell.ros.tcp", "armcell.ros.ros1", "armcell.campaigns", "armcell.viewer",
     "armcell.emulators.ur", "armcell.emulators.franka", "trimesh", "matplotlib.figure",
     "matplotlib.backends.backend_agg", "viser",

@@ -8,8 +8,15 @@ from scipy import stats
 
 from armcell.campaigns import CampaignSpec
 from armcell.campaigns.campaign import trial
-from armcell.campaigns.sampling import BLOCK, adaptive_draw, distribution, latin_hypercube_draw, random_draw
-from armcell.campaigns.spec import checked_cell, distributions
+from armcell.campaigns.spec import (
+    BLOCK,
+    adaptive_draw,
+    checked_cell,
+    distribution,
+    distributions,
+    latin_hypercube_draw,
+    random_draw,
+)
 from armcell.core import InputError
 
 

@@ -23,7 +23,7 @@ from tests.ros.ros2.conftest import reach  # noqa: F401  (a fixture)
 from armcell.cell import LiveCell, load, with_values
 from armcell.core import SE3, ArmcellError, Box, JointTrajectory, PlanRequest, PoseGoal
 from armcell.moveit import Session
-from armcell.moveit.install_shims import shims_installed
+from armcell.moveit.run import shims_installed
 from armcell.planning import plan, warm_up
 from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
 from armcell.ros.moveit_convert.states import trajectory_message

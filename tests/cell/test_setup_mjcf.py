@@ -214,3 +214,22 @@ def test_an_arm_with_soft_servos_and_friction_picks_and_places(tmp_path, capsys)
     text = (tmp_path / "cell/cell.yaml").read_text()
     assert "goal_tolerance: 0.0" in text and "servos are soft" in text
     check_starter(tmp_path / "cell")
+
+
+@pytest.mark.slow
+def test_fingers_with_an_actuator_each_move_together(tmp_path, capsys):
+    """As in Menagerie's TIAGo: setup writes an MJCF file with the coupling."""
+    file = written(tmp_path, FINGERS, "", 'joint="right_joint"')
+    two = '<position name="other" kp="1000" joint="left_joint"/></actuator>'
+    file.write_text(file.read_text().replace("</actuator>", two))
+    said = call(capsys, "setup", file, "-o", tmp_path / "alone", "--samples", "2000")
+    assert said.status == 0 and "drive=JOINT follower=JOINT" in said.words
+    words = "drive=right_joint follower=left_joint"
+    said = call(capsys, "setup", file, "-o", tmp_path / "cell", "--samples", "2000", "--gripper", words)
+    assert said.status == 0 and "holds a cube" in said.words, said.err
+    model = load_robot(tmp_path / "cell")
+    mimic = model.joints["left_joint"].mimic
+    assert mimic is not None and (mimic.joint, mimic.multiplier, mimic.offset) == ("right_joint", 1.0, 0.0)
+    assert model.gripper().joint_name == "right_joint"
+    assert yaml.safe_load((tmp_path / "cell/robot.yaml").read_text())["mjcf"] == "config/arm6.mjcf"
+    check_starter(tmp_path / "cell")

@@ -37,7 +37,7 @@ from armcell.records.mcap_writer import object_data, object_of
 from armcell.ros.moveit_convert.objects import ShapeMessages, primitive_shape, primitive_type
 from armcell.ros.schema import schema
 from armcell.ros.unity.export import _shapes as unity_shapes
-from armcell.ros.unity.urdf import write_urdf
+from armcell.ros.unity.export import write_urdf
 from armcell.scene import CollisionObject, load_scene_file, save_scene_file, shape_volume
 from armcell.scene.sdf import load_sdf
 

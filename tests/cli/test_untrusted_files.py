@@ -11,7 +11,7 @@ from tests import programs
 from tests.cli.helpers import call, finished, start
 
 import armcell
-from armcell.cell import script
+from armcell.cell import task_run
 from armcell.cli import doctor
 from armcell.core import InputError
 from armcell.model.xacro import ALLOW_ENV
@@ -77,7 +77,7 @@ def record(cell, tmp_path, capsys, monkeypatch) -> Path:
     """A recorded run of the cell."""
     assert call(capsys, "run", cell, "--mode", "fake", "--runs", tmp_path / "runs").status == 0
     (cell / "ran").unlink()
-    monkeypatch.setattr(script, "_announced", set())
+    monkeypatch.setattr(task_run, "_announced", set())
     (found,) = (tmp_path / "runs").glob("*/run.mcap")
     return found
 
@@ -150,15 +150,15 @@ def test_looking_at_a_cell_or_record_does_not_run_its_script(cell, record, tmp_p
 def test_what_will_run_is_said_before(cell, record, tmp_path, capsys, monkeypatch, caplog):
     """By every command that runs a cell's script: the script looks whether it was."""
     (cell / "task.py").write_text(
-        "from pathlib import Path\nfrom armcell.cell import script\n"
-        "assert Path(__file__) in script._announced\n" + FILES["task.py"]
+        "from pathlib import Path\nfrom armcell.cell import task_run\n"
+        "assert Path(__file__) in task_run._announced\n" + FILES["task.py"]
     )
     commands = [
         ("run", cell, "--mode", "fake", "--runs", tmp_path / "more"),
         ("replay", record.parent, "--execute", "--anyway", "--runs", tmp_path / "more"),
     ]
     for command in commands:
-        monkeypatch.setattr(script, "_announced", set())
+        monkeypatch.setattr(task_run, "_announced", set())
         caplog.clear()
         assert call(capsys, *command).status in (0, 1) and (cell / "ran").exists()
         (line,) = [m for m in caplog.messages if "runs Python code" in m]
@@ -169,12 +169,12 @@ def test_what_will_run_is_said_before(cell, record, tmp_path, capsys, monkeypatc
 def test_campaigns_say_what_will_run_before_their_workers_do(cell, tmp_path, caplog, monkeypatch):
     from armcell import campaigns
 
-    monkeypatch.setattr(script, "_announced", set())
+    monkeypatch.setattr(task_run, "_announced", set())
     store = campaigns.begin(campaigns.CampaignSpec(str(cell), trials=2), tmp_path / "runs")
     store.close()
     expected = [f"armcell runs Python code of this cell: {cell / 'task.py'}"]
     assert [m for m in caplog.messages if "Python code" in m] == expected and not (cell / "ran").exists()
-    monkeypatch.setattr(script, "_announced", set())
+    monkeypatch.setattr(task_run, "_announced", set())
     caplog.clear()
     campaigns.resume(store.folder).close()
     assert [m for m in caplog.messages if "Python code" in m] == expected and not (cell / "ran").exists()
@@ -189,7 +189,7 @@ def test_a_record_from_another_person_is_named_as_one(cell, record, tmp_path, ca
     reexecution.checked_cell(found)
     (line,) = [m for m in caplog.messages if "Python code" in m]
     assert "named by a record from another computer, eve?[2J x86_64" in line and str(cell / "task.py") in line
-    monkeypatch.setattr(script, "_announced", set())
+    monkeypatch.setattr(task_run, "_announced", set())
     caplog.clear()
     monkeypatch.setattr("os.getuid", lambda: 4711)
     reexecution.checked_cell(read_record(record.parent))
@@ -198,11 +198,11 @@ def test_a_record_from_another_person_is_named_as_one(cell, record, tmp_path, ca
 
 @pytest.mark.slow
 def test_armcell_s_own_cells_are_not_announced(caplog, monkeypatch):
-    monkeypatch.setattr(script, "_announced", set())
+    monkeypatch.setattr(task_run, "_announced", set())
     caplog.set_level(logging.INFO)
     own = [name for name in armcell.cell.cell_names() if armcell.load(name).spec.script is not None]
     assert own
-    script.announce_code(armcell.load(own[0]))
+    task_run.announce_code(armcell.load(own[0]))
     assert "Python code" not in caplog.text
 
 

@@ -13,7 +13,7 @@ from tests.fuzz.edges import Edges
 
 from armcell.ros import cdr_codec, schema
 from armcell.ros.codec import WireError, ros1_codec
-from armcell.ros.ros1 import header
+from armcell.ros.ros1 import sockets
 from armcell.ros.ros2.codec import ros2_codec
 from armcell.ros.ros2.dds import Sample
 from armcell.ros.ros2.services import split
@@ -55,7 +55,7 @@ class Decoders:
             codec = codecs[distro]
             self._seeds += [(distro, name, bytes(codec.encode(codec.new(name)))) for name in ONLY_ROS2]
         self._seeds += [
-            ("TCPROS header", "", header.encode_header({"callerid": "/a", "md5sum": "*"})[4:])
+            ("TCPROS header", "", sockets.encode_header({"callerid": "/a", "md5sum": "*"})[4:])
         ] * 5
         self._seeds += [("ROS 2 call", "", bytes([0, 1, 0, 0]) + bytes(range(40)))]
 
@@ -81,8 +81,8 @@ class Decoders:
 
     def _take(self, codec: str, name: str, data: bytes) -> None:
         if codec == "TCPROS header":
-            fields = header.decode_header(data)
-            assert header.decode_header(header.encode_header(fields)[4:]) == {
+            fields = sockets.decode_header(data)
+            assert sockets.decode_header(sockets.encode_header(fields)[4:]) == {
                 k.strip(): v for k, v in fields.items()
             }
         elif codec == "ROS 2 call":

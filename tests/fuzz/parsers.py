@@ -378,13 +378,11 @@ def _controller(frozen: bool = False) -> Any:
 
     from armcell.drivers.ur.wire.models import ur_model
     from armcell.emulators.network import Network, TcpConnection
-    from armcell.emulators.ur.dashboard_server import DashboardServer
-    from armcell.emulators.ur.external_control import ExternalControl
-    from armcell.emulators.ur.gripper_server import GripperServer
+    from armcell.emulators.ur.dashboard_server import DashboardServer, GripperServer
     from armcell.emulators.ur.plant import KinematicPlant
     from armcell.emulators.ur.robot import Robot
     from armcell.emulators.ur.rtde_server import RtdeServer
-    from armcell.emulators.ur.script_server import ScriptServer
+    from armcell.emulators.ur.script_server import ExternalControl, ScriptServer
 
     class Servers:
         def __init__(self) -> None:

@@ -13,7 +13,7 @@ from tests.fuzz.edges import Edges
 
 from armcell.ros import Bus, Ros1Graph, Ros1Settings, schema
 from armcell.ros.codec import ros1_codec
-from armcell.ros.ros1 import header
+from armcell.ros.ros1 import sockets
 from armcell.ros.ros1.xmlrpc import call_method
 
 STRING = "std_msgs/String"
@@ -49,7 +49,7 @@ class _Graph:
 
 
 class Tcpros(_Graph):
-    """One `send` is a connection: a header, then requests where it is a service's."""
+    """One `send` is a connection: a sockets, then requests where it is a service's."""
 
     name = "TCPROS port, ROS 1"
     share = 0.1
@@ -101,7 +101,7 @@ class Tcpros(_Graph):
             bodies = [corpus.damage(corpus.pick(bodies)) for _ in range(REQUESTS)]
             requests = [struct.pack("<I", len(body)) + body for body in bodies]
         extra = {"probe": "1"} if corpus.chance(0.1) else {}
-        return [header.encode_header(fields | extra), *requests]
+        return [sockets.encode_header(fields | extra), *requests]
 
 
 class XmlRpc(_Graph):

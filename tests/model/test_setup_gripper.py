@@ -15,7 +15,7 @@ from armcell.core import InputError, UnknownNameError
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, Mimic, RobotModel, load_robot, parse_urdf
 from armcell.model.setup import with_groups
-from armcell.model.setup.follower import with_follower_text
+from armcell.model.setup.follower import with_follower_text, with_limits_text
 from armcell.model.setup.gripper_detection import GripperSpec, find_grippers, reasons
 
 SHARED = Path(__file__).parents[3].joinpath("shared", "data", "robots").resolve()
@@ -182,6 +182,29 @@ def test_a_follower_moves_its_jaw_toward_the_other(axis, multiplier):
     assert coupled.joints["right_finger"].mimic == Mimic("left_finger", multiplier)
     gripper = only(find_grippers(with_groups(coupled)))
     assert gripper.joint_name == "left_finger" and set(gripper.finger_links) == {"left", "right"}
+
+
+def test_limits_of_fingers_that_the_file_sets_to_zero_can_be_stated():
+    """As in the URDF of the Stretch 3: both finger joints have the limits 0 and 0, and no <mimic>."""
+    parts = jaw_parts(0.0, 0.0, '<axis xyz="0 1 0"/>')
+    why = reasons(with_groups(model_of(*parts)))["gripper"]
+    assert "joint left_finger, right_finger cannot move" in why and "range=LOWER,UPPER" in why
+    fact = GripperSpec.parse("drive=left_finger range=0,0.03 follower=right_finger")
+    text = with_limits_text(robot(*parts), fact.drive, *fact.range)
+    text = with_follower_text(text, parse_urdf(text, Path("/tmp/r.urdf")), fact.drive, fact.follower)
+    coupled = parse_urdf(text, Path("/tmp/r.urdf"))
+    limits = coupled.joints["right_finger"].limits
+    assert (limits.lower, limits.upper) == (-0.03, 0.0)
+    assert only(find_grippers(with_groups(coupled))).max_width > 0.05
+    for text, reason in (
+        ("range=0,1", "range needs drive"),
+        ("drive=a range=1", "does not have the form"),
+        ("drive=a range=1,0", "does not have the form"),
+    ):
+        with pytest.raises(InputError, match=reason):
+            GripperSpec.parse(text)
+    with pytest.raises(UnknownNameError, match="unknown joint 'x'"):
+        with_limits_text(robot(*parts), "x", 0.0, 1.0)
 
 
 def test_a_follower_must_be_another_driven_joint_of_a_jaw():

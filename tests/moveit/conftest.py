@@ -6,7 +6,7 @@ import pytest
 
 from armcell.cell import load
 from armcell.moveit import Session
-from armcell.moveit.install_shims import shims_installed
+from armcell.moveit.run import shims_installed
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,8 @@ import numpy as np
 
 from armcell.cell import LiveCell
 from armcell.ros.definitions import PLACEHOLDER, field_parts
-from armcell.ros.messages import DTYPES, STAMPS, python_name
 from armcell.ros.nodes import RemoteDriver, RemoteMotions
-from armcell.ros.schema import Schema
+from armcell.ros.schema import DTYPES, STAMPS, Schema, python_name
 from armcell.tasks import TaskSettings
 
 TEXTS = ("", "a", "joint_1", "żółw", "panda_link0", "x" * 17)

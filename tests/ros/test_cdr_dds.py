@@ -13,8 +13,7 @@ from tests.ros.helpers import random_message
 
 from armcell.ros.codec import cdr_codec
 from armcell.ros.definitions import PLACEHOLDER, field_parts
-from armcell.ros.messages import python_name
-from armcell.ros.schema import schema
+from armcell.ros.schema import python_name, schema
 
 idl = pytest.importorskip(
     "cyclonedds.idl", reason="cyclonedds is not installed (pip install 'armcell[ros2]')"

@@ -11,7 +11,7 @@ import pytest
 from tests import programs
 
 import armcell
-from armcell.ros.ros1 import header, settings, subscription, xmlrpc
+from armcell.ros.ros1 import settings, sockets, subscription, xmlrpc
 from armcell.ros.ros1.sockets import MAX_CONNECTIONS
 
 PAGE = Path(__file__).parents[2] / "docs" / "ros1.md"
@@ -31,7 +31,7 @@ def test_the_numbers_are_those_in_the_code():
     text = PAGE.read_text()
     bare = settings.Ros1Settings()
     for value in (
-        f"{bare.max_message >> 20} MiB a message", f"{header.MAX_HEADER >> 20} MiB a header",
+        f"{bare.max_message >> 20} MiB a message", f"{sockets.MAX_HEADER >> 20} MiB a header",
         f"{xmlrpc.MAX_BODY >> 20} MiB an XML-RPC call", f"{MAX_CONNECTIONS} connections",
         f"{bare.queue} messages or {bare.queue_bytes >> 20} MiB", f"after {subscription.FIRST_RETRY:g} s",
         f"every {subscription.LAST_RETRY:g} s", settings.MASTER,

@@ -26,7 +26,7 @@ from armcell.kinematics import kinematic_tree
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene, solid_inertia
 from armcell.sim import PhysicsSettings, SimWorld, build, convex_pieces
-from armcell.sim.shapes import cone_mesh
+from armcell.sim.objects import cone_mesh
 
 ROBOTS = ("panda", "ur10", "ur10_gripper")
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from tests.model.test_mjcf import DRIVE, JAWS, LINKAGE, TENDON, arm
 
-from armcell.core import SE3
+from armcell.core import SE3, SO3, Box, Cylinder
 from armcell.model import Gripper, MountedRobot, compose, load_robot
-from armcell.scene import PlanningScene
+from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import SimWorld
 from armcell.sim.mujoco_model import build
 
@@ -122,3 +122,71 @@ def test_a_hand_with_springs_and_friction_reaches_its_width(tmp_path):
         world.set_gripper_target("hand", width)
         world.step(1000)
         assert world.gripper_state("hand").width == pytest.approx(width, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("masks", "pairs"),
+    [
+        ('contype="0" conaffinity="1"', ""),
+        ('contype="0" conaffinity="3"', ""),
+        ('contype="2" conaffinity="4"', ""),
+        ('contype="0" conaffinity="0"', '<contact><pair geom1="plate" geom2="jaw"/></contact>'),
+    ],
+)
+def test_objects_rest_on_links_with_any_contact_mask(tmp_path, masks, pairs):
+    """MJCF files may restrict which geoms of a robot touch each other; objects touch all of them."""
+    plate = f'<geom name="plate" type="box" size="0.2 0.2 0.01" pos="0 0 -0.1" {masks}/>'
+    text = JAWS.replace('<geom size="0.03"/>', plate).replace(
+        '<geom size="0.01"/>', '<geom name="jaw" size="0.01"/>', 1
+    )
+    model = written(tmp_path, text.format(TENDON + DRIVE + pairs))
+    cube = CollisionObject.single("cube", Box(0.04, 0.04, 0.04), SE3.from_xyz(0.1, 0, -0.068), movable=True)
+    world = SimWorld(scene_of(model).with_object(cube))
+    world.step(300)
+    assert world.object_poses()["cube"].translation[2] == pytest.approx(-0.07, abs=1e-3)
+
+
+def test_a_can_between_recessed_pads_is_pressed_along_the_closing_direction(tmp_path):
+    """MuJoCo 4.0 computes normals along the boxes' first axes where a can touches their edges. The files of
+    Menagerie state pads such as these, and boxes in rotated frames.
+    """
+    pads = "".join(
+        f'<frame pos="{x} 0.002 0" euler="0 0 180"><geom type="box" size="0.003 0.002 0.01"/></frame>'
+        for x in (-0.0055, 0.0055)
+    )
+    text = JAWS.replace('axis="0 -1 0"', 'axis="0 1 0"').replace('<geom size="0.01"/>', pads)
+    text = text.replace('<body name="right">', '<body name="right" quat="0 0 0 1">')
+    text = text.replace('<geom size="0.03"/>', '<geom size="0.01" pos="0 0 -0.1"/>')
+    model = written(
+        tmp_path, text.format('<equality><joint joint1="r" joint2="l"/></equality>' + TENDON + DRIVE)
+    )
+    gripper = Gripper(
+        name="hand", arm_group="none", group="none", joint_name="l", tcp_link="palm",
+        finger_links=("left", "right"), hand_links=("palm", "left", "right"),
+    )  # fmt: skip
+    can = CollisionObject.single("can", Cylinder(0.024, 0.08), movable=True, mass=0.1)
+    pressed = np.sqrt(0.024**2 - 0.0025**2) - 1e-4  # the can overlaps the inner edges of the boxes
+    scene = PlanningScene(replace(model, grippers={"hand": gripper}), np.array([pressed])).with_object(can)
+    mj = build(scene).mj
+    reference = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    for name in ("left", "right"):  # the boxes are those of the file
+        shapes = [
+            {
+                tuple(np.round(m.geom_pos[g] + m_axis, 9))
+                for g in range(m.ngeom) if m.geom_bodyid[g] == m.body(name).id
+                for m_axis in _corners(m.geom_quat[g], m.geom_size[g])
+            }
+            for m in (mj, reference)
+        ]  # fmt: skip
+        assert shapes[0] == shapes[1]
+    data = mujoco.MjData(mj)
+    data.joint("l").qpos = data.joint("r").qpos = pressed
+    mujoco.mj_forward(mj, data)
+    normals = np.array([contact.frame[:3] for contact in data.contact])
+    assert len(normals) >= 4 and (np.abs(normals[:, 1]) > 0.9).all()
+
+
+def _corners(quat_wxyz, size):
+    """Corners (8, 3) of a box around its center."""
+    signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
+    return signs * size @ SO3.from_quat_wxyz(quat_wxyz).matrix.T

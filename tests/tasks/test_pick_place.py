@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.tasks.helpers import (
@@ -315,3 +317,22 @@ def test_cancel_stops_and_the_cell_can_go_on(mode):
         assert cell.arm.move_to("home").code is ErrorCode.PREEMPTED  # until it is taken back
         cell.ctx.cancel.clear()
         assert cell.arm.pick("cube").ok
+
+
+@pytest.mark.slow
+def test_straight_motions_end_where_the_arms_reach_ends():
+    """Above the cube, the hand of the Panda can move up by about 0.45 m and keep its orientation."""
+    far = replace(
+        SETTINGS, approach_distance=1.0, lift_distance=1.0, lower_distance=1.0, retreat_distance=1.0
+    )
+    bare = nominal().without_object("wall").without_object("post")
+    with live(scene=bare, settings=far) as cell:
+        before = cell.driver.object_poses()["cube"].translation[2]
+        picked = cell.arm.pick("cube")
+        assert picked.ok, picked.message
+        assert 0.2 < cell.driver.object_poses()["cube"].translation[2] - before < 0.8
+        placed = cell.arm.place("cube", on="tray")
+        assert placed.ok, placed.message
+        assert stages(cell) == PICK_STAGES + PLACE_STAGES
+    with live(scene=bare, settings=replace(far, least_approach=0.9, max_candidates=2)) as cell:
+        assert "stops at" in cell.arm.pick("cube").message

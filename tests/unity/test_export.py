@@ -16,8 +16,7 @@ from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Sphere
 from armcell.kinematics import kinematic_tree
 from armcell.model import Collision, load_urdf
 from armcell.ros.unity import write_urdf
-from armcell.ros.unity.export import scene_json
-from armcell.ros.unity.urdf import small_hull, write_stl
+from armcell.ros.unity.export import scene_json, small_hull, write_stl
 
 
 @pytest.mark.slow

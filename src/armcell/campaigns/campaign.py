@@ -13,15 +13,17 @@ import numpy as np
 
 from armcell.campaigns.gate import changed_parts
 from armcell.campaigns.pool import Pool, Processes, Workers, cores
-from armcell.campaigns.sampling import (
+from armcell.campaigns.spec import (
     ROUND,
     Array,
+    CampaignSpec,
     Distribution,
     adaptive_draw,
+    checked_cell,
+    distributions,
     latin_hypercube_draw,
     random_draw,
 )
-from armcell.campaigns.spec import CampaignSpec, checked_cell, distributions
 from armcell.campaigns.statistics import success
 from armcell.campaigns.store import Store
 from armcell.campaigns.trial import Trial

@@ -17,9 +17,8 @@ if TYPE_CHECKING:
     from armcell.cell.live_cameras import LiveCamera, OctomapUpdater
     from armcell.cell.loader import load
     from armcell.cell.objects_file import load_objects, save_objects
-    from armcell.cell.run import result_of, run_failures, run_task
-    from armcell.cell.script import announce_code
     from armcell.cell.setup import SetupProposal, propose, propose_from_package, write_cell
+    from armcell.cell.task_run import announce_code, result_of, run_failures, run_task
     from armcell.cell.value_overrides import gains_as_values, parse_value, with_values
 
 # Modules are imported on first use: listing the built-in cells needs neither planner nor physics.
@@ -33,8 +32,7 @@ _LAZY = {
         "live": ("Arm", "LiveCell"),
         "loader": ("load",),
         "objects_file": ("load_objects", "save_objects"),
-        "run": ("run_failures", "result_of", "run_task"),
-        "script": ("announce_code",),
+        "task_run": ("announce_code", "run_failures", "result_of", "run_task"),
         "live_cameras": ("OctomapUpdater", "LiveCamera"),
         "setup": ("SetupProposal", "propose", "propose_from_package", "write_cell"),
         "value_overrides": ("gains_as_values", "parse_value", "with_values"),

@@ -17,7 +17,7 @@ import numpy as np
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
 from armcell.cell.loader import load
-from armcell.cell.script import load_script
+from armcell.cell.task_run import load_script
 from armcell.core import ArmcellError, InputError, JointGoal, PlanRequest
 from armcell.drivers import drivers
 from armcell.drivers.real import kind_of, real_settings

@@ -13,7 +13,8 @@ from armcell.collision.self_collision import LinkPair, link_pairs
 from armcell.core import InputError
 from armcell.model import Gripper, Joint, RobotModel, SuctionGripper
 from armcell.model.composition import with_whole_fingers
-from armcell.model.loader import is_mjcf, load_mjcf_file, with_keyframes
+from armcell.model.loader import is_mjcf, load_mjcf_file, with_adjacent_disabled, with_keyframes
+from armcell.model.mjcf import parse_mjcf, read_mjcf
 from armcell.model.setup import (
     MoveItConfig,
     UrdfPart,
@@ -28,7 +29,7 @@ from armcell.model.setup import (
     write_folder,
     yaml_text,
 )
-from armcell.model.setup.follower import with_follower_text
+from armcell.model.setup.follower import with_follower_equality, with_follower_text, with_limits_text
 from armcell.model.setup.gripper_detection import GripperSpec, find_grippers
 from armcell.model.urdf import load_urdf, parse_urdf
 from armcell.model.urdf_writer import urdf_of
@@ -53,6 +54,7 @@ class SetupProposal:
     proofs: tuple[GripperProof, ...] = ()
     package: MoveItConfig | None = None  # the source package; its files are copied unchanged
     mjcf: Path | None = None  # the source if it is MJCF; armcell loads it, and MoveIt the URDF
+    mjcf_text: str = ""  # the source with couplings that the user requested; armcell loads it instead
 
     @property
     def loose_joints(self) -> tuple[str, ...]:
@@ -95,14 +97,9 @@ def propose(
     """
     tell = progress or (lambda what, done: None)
     tell("reading", 0)
-    mjcf = _mjcf_file(parts)
+    mjcf, mjcf_text = _mjcf_file(parts), ""
     if mjcf is not None:
-        if any(fact.follower for fact in grippers):
-            raise InputError(
-                "follower: armcell adds no couplings to an MJCF file", file=mjcf,
-                hint='couple the joints in the file: <equality><joint joint1="..." joint2="..."/></equality>',
-            )  # fmt: skip
-        model = load_mjcf_file(mjcf)
+        model, mjcf_text = _mjcf_robot(mjcf, grippers)
         model = replace(model, name=name or model.name)
         text = urdf_of(model)
     else:
@@ -111,6 +108,9 @@ def propose(
         name, text = merged_urdf(parts, name)
         model = parse_urdf(text, parts[0].file, warn=False)
         for fact in grippers:
+            if fact.range:
+                text = with_limits_text(text, fact.drive, *fact.range)
+                model = parse_urdf(text, parts[0].file, warn=False)
             if fact.follower:
                 text = with_follower_text(text, model, fact.drive, fact.follower)
                 model = parse_urdf(text, parts[0].file, warn=False)
@@ -127,7 +127,23 @@ def propose(
     model = replace(model, disabled_collisions={p.links: p.reason for p in pairs if p.reason})
     tell("closing the gripper on a cube", 0)
     model, proofs = _proven(model, grippers)
-    return SetupProposal(model, tuple(pairs), text, proofs, mjcf=mjcf)
+    return SetupProposal(model, tuple(pairs), text, proofs, mjcf=mjcf, mjcf_text=mjcf_text)
+
+
+def _mjcf_robot(file: Path, grippers: Sequence[GripperSpec]) -> tuple[RobotModel, str]:
+    """Load the robot of an MJCF file. If the user couples joints, also return the MJCF text with these
+    couplings, otherwise an empty text.
+    """
+    model, text = load_mjcf_file(file), ""
+    for fact in grippers:
+        if fact.range:
+            raise InputError("range: armcell changes no limits of an MJCF file", file=file,
+                             hint=f"set 'range' of joint {fact.drive} in the file")  # fmt: skip
+        if fact.follower:
+            source = read_mjcf(file)
+            text = with_follower_equality(text or source.text, model, fact.drive, fact.follower)
+            model = with_adjacent_disabled(parse_mjcf(replace(source, text=text)))
+    return model, text
 
 
 def _proven(
@@ -197,7 +213,10 @@ def cell_files(proposal: SetupProposal, package: str) -> dict[str, str]:
     model = proposal.model
     if proposal.package is not None:
         return {**proposal.package.texts(package), "cell.yaml": _cell_yaml(model)}
-    urdf, srdf = f"{model.name}.urdf", f"{model.name}.srdf"
+    urdf, srdf, mjcf = (f"{model.name}.{suffix}" for suffix in ("urdf", "srdf", "mjcf"))
+    source = {"urdf": f"config/{urdf}"}
+    if proposal.mjcf is not None:
+        source = {"mjcf": f"config/{mjcf}" if proposal.mjcf_text else str(proposal.mjcf)}
     controllers = defaults.moveit_controllers(model)
     config = {
         "joint_limits.yaml": yaml_text(defaults.joint_limits(model), *LIMITS_NOTE),
@@ -215,9 +234,8 @@ def cell_files(proposal: SetupProposal, package: str) -> dict[str, str]:
         **{f"config/{name}": text for name, text in config.items()},
         **package_files(package, urdf, srdf),
         **launch_files(package, model.name, names, listed),
-        "robot.yaml": _robot_yaml(model, {"urdf": f"config/{urdf}"}, srdf)
-        if proposal.mjcf is None
-        else _robot_yaml(model, {"mjcf": str(proposal.mjcf)}, srdf),
+        **({f"config/{mjcf}": proposal.mjcf_text} if proposal.mjcf_text else {}),
+        "robot.yaml": _robot_yaml(model, source, srdf),
         "cell.yaml": _cell_yaml(model),
     }
 

@@ -16,9 +16,7 @@ from armcell.cli.console import check_writable, console, errors, millimeters, st
 from armcell.cli.gate import check_gate, gate_summary, warn_without_twin
 from armcell.cli.goal_options import GAINS
 from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAddress, print_page_address
-from armcell.cli.ros1 import OWN_MASTER
-from armcell.cli.ros2 import DOMAIN
-from armcell.cli.ros_name_options import NAMESPACE, REMAP, parse_ros_names
+from armcell.cli.ros_options import DOMAIN, NAMESPACE, OWN_MASTER, REMAP, parse_ros_names
 from armcell.cli.run_record import RecordingOptions, add_picture_observers, begin_record, write_result_files
 from armcell.cli.script import ScriptConnections
 from armcell.core import Event, JointTrajectory, Observer, StateSample

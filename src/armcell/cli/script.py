@@ -20,9 +20,13 @@ from armcell import _interrupts
 from armcell.cli.console import console, err, errors, print_addresses
 from armcell.cli.gate import require_gate_override
 from armcell.cli.page import PageAddress, print_page_address
-from armcell.cli.ros1 import Join, check_own_master
-from armcell.cli.ros2 import check_domain
-from armcell.cli.ros_name_options import RosNameOptions, unused_remappings_warning
+from armcell.cli.ros_options import (
+    Join,
+    RosNameOptions,
+    check_domain,
+    check_own_master,
+    unused_remappings_warning,
+)
 from armcell.cli.run_record import ExternallyControlledRun, RecordingOptions, error_text
 from armcell.core import InputError
 
@@ -57,7 +61,7 @@ class ScriptConnections:
 
     Attributes:
         unity: HOST:PORT of the ROS-TCP endpoint, or None.
-        ros1, own_master: join a ROS 1 graph; see `join` in ros1.py.
+        ros1, own_master: join a ROS 1 graph; see `join_ros1` in ros_options.py.
         ros2, domain: join a ROS 2 domain, instead of ROS_DOMAIN_ID.
         plan_only: the script controls a simulator or robot at the other end of the connection.
         names: namespace and remappings of the cell's and the script's names.
@@ -114,7 +118,7 @@ class ScriptConnections:
         Raises:
             InputError: a port is in use, or an address or environment variable is wrong.
         """
-        from armcell.cli.ros2 import join
+        from armcell.cli.ros_options import join_ros2
         from armcell.cli.serve import address, serve_unity
 
         found: list[Join] = []
@@ -122,7 +126,7 @@ class ScriptConnections:
             host, port = address(self.unity)
             found.append(serve_unity(stack, bus, host, port, "auto"))
         if self.ros2:
-            found.append(join(stack, bus, "armcell", self.domain, namespace=self.names.namespace))
+            found.append(join_ros2(stack, bus, "armcell", self.domain, namespace=self.names.namespace))
         return found
 
     def open(self, session: Session, joins: Sequence[Join]) -> None:

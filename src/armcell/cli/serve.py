@@ -19,16 +19,23 @@ from armcell import _interrupts
 from armcell.cli.common_options import SEED, seed_or_default
 from armcell.cli.console import console, err, errors, print_addresses
 from armcell.cli.gate import WITHOUT_GATE, require_gate_override
-from armcell.cli.ros1 import OWN_MASTER, ROS1, Join, OpenTransport, check_own_master, reserve_transport
-from armcell.cli.ros1 import join as join_ros1
-from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
-from armcell.cli.ros2 import join as join_ros2
-from armcell.cli.ros_name_options import (
+from armcell.cli.ros_options import (
     ARGUMENTS,
+    DOMAIN,
     NAMESPACE,
+    OWN_MASTER,
     REMAP,
+    ROS1,
+    ROS2,
+    Join,
+    OpenTransport,
     RosNameOptions,
+    check_domain,
+    check_own_master,
+    join_ros1,
+    join_ros2,
     parse_ros_names,
+    reserve_transport,
     unused_remappings_warning,
 )
 from armcell.cli.run_record import (

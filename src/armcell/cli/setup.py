@@ -39,7 +39,9 @@ HELP = """The option --gripper states what setup does not recognize, as KEY=VALU
 
   drive=JOINT            driven joint that moves the jaws
 
-  follower=JOINT         joint that follows the driven joint, if the URDF lacks a <mimic>
+  follower=JOINT         joint that follows the driven joint, if the file does not couple them
+
+  range=LOWER,UPPER      limits of the driven joint [rad or m], if those in the URDF are wrong
 
   fingers=LINK,LINK      links of both jaws (several per side: A,B+C)
 

@@ -10,7 +10,7 @@ import typer
 
 from armcell import _interrupts
 from armcell.cli.console import console, err
-from armcell.cli.ros2 import DOMAIN
+from armcell.cli.ros_options import DOMAIN
 from armcell.core import InputError
 
 EXAMPLES = """Examples:
@@ -84,9 +84,9 @@ def _joined(
         return stack.enter_context(connected_bus(connect or "", ros1=ros1, subscribe=wanted))[0]
     bus = Bus()
     if ros2:
-        from armcell.cli.ros2 import join
+        from armcell.cli.ros_options import join_ros2
 
-        join(stack, bus, "armcell_tf", domain)()
+        join_ros2(stack, bus, "armcell_tf", domain)()
         return bus
     from armcell.ros.nodes import CellNode
 

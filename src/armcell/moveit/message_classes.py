@@ -17,8 +17,7 @@ import numpy as np
 from armcell.moveit import allowed_collision_matrix
 from armcell.moveit.ros_time import Duration, Time
 from armcell.ros.definitions import PLACEHOLDER, field_parts
-from armcell.ros.messages import python_name
-from armcell.ros.schema import Schema, schema
+from armcell.ros.schema import Schema, python_name, schema
 
 BYTES = ("uint8", "char")  # element types of arrays that genpy stores as bytes
 STAMPS: dict[str, type] = {Time._type: Time, Duration._type: Duration}

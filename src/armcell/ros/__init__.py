@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 from armcell.ros.actions import ActionClient, ActionOutcome, ActionServer, GoalState
 from armcell.ros.bus import Bus, Publisher, ServiceError, Subscription
 from armcell.ros.codec import Codec, WireError, cdr_codec
-from armcell.ros.messages import Message
 from armcell.ros.names import NameMap
 from armcell.ros.ros1 import Ros1Graph, Ros1Master, Ros1Settings
-from armcell.ros.schema import Schema, schema
+from armcell.ros.schema import Message, Schema, schema
 from armcell.ros.tcp import ForwardedNames, RosTcpClient, RosTcpServer, ServerSettings
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The in-process message bus: topics, services, parameters and a clock.
+"""The in-process message bus: topics, services, parameters, and a clock of wall or simulation time.
 
 Nodes use only the bus; each transport (Unity, ROS 1, ROS 2) acts as one more publisher, subscriber and server
 on it. The bus passes messages by reference: a publisher must not change a message after publishing it, and
@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Any
 
 from armcell.core import ArmcellError, InputError, UnknownNameError
-from armcell.ros.clock import Clock
+from armcell.core.checks import require
 from armcell.ros.definitions import plain_name
 from armcell.ros.names import NameMap, resolve
 from armcell.ros.parameters import Parameters, RemappedParameters
@@ -24,13 +24,68 @@ from armcell.ros.schema import Schema
 from armcell.ros.schema import schema as built_in
 from armcell.ros.topics import Attachment, Member, Publisher, Put, Subscription, Topic, TopicInfo
 
+
+class Clock:
+    """Clock of the message bus. It returns Unix time in seconds, or simulation time once `set` has been
+    called.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._simulated: float | None = None
+
+    @property
+    def is_simulated(self) -> bool:
+        return self._simulated is not None
+
+    def now(self) -> float:
+        """Return the current time [s] of the bus's clock: simulation time if it was set, otherwise Unix
+        time.
+        """
+        simulated = self._simulated
+        return time.time() if simulated is None else simulated
+
+    def set(self, seconds: float) -> None:
+        """Set the clock of the message bus to `seconds`. From now on, the clock shows simulation time.
+
+        Time may jump backward, for example when the simulation is reset.
+        """
+        require(0 <= seconds < float("inf"), f"time is {seconds}, it must be 0 s or later")
+        with self._changed:
+            self._simulated = float(seconds)
+            self._changed.notify_all()
+
+    def wait_until(self, seconds: float, timeout: float | None = None) -> bool:
+        """Wait until the clock of the message bus reaches the time `seconds` [s].
+
+        Args:
+            seconds: target time on this clock.
+            timeout: longest wait in wall-clock time [s]; None waits forever.
+        Returns:
+            True if the clock reached the target, False if the timeout expired first.
+        """
+        give_up = None if timeout is None else time.monotonic() + timeout
+        with self._changed:
+            while (left := seconds - self.now()) > 0:
+                wall = None if give_up is None else give_up - time.monotonic()
+                if wall is not None and wall <= 0:
+                    return False
+                if not self.is_simulated:
+                    wall = left if wall is None else min(left, wall)
+                self._changed.wait(wall)
+        return True
+
+
 logger = logging.getLogger(__name__)
+
 QUEUE_SIZE = 10  # usual value in ROS scripts
 
 LOOK_PERIOD = 0.1  # [s] polling period for a service behind a transport
 
 Handler = Callable[[Any], Any]
+
 Finder = Callable[[str], Handler | None]
+
 """Returns the handler of a service behind a transport by full name; None without a server."""
 
 

@@ -20,8 +20,7 @@ import numpy as np
 
 from armcell.core import UnknownNameError
 from armcell.ros.definitions import PLACEHOLDER, Definition, field_parts, nested_types
-from armcell.ros.messages import DTYPES, python_name
-from armcell.ros.schema import Schema
+from armcell.ros.schema import DTYPES, Schema, python_name
 
 NOT_SHIPPED = ("control_msgs", "moveit_msgs")
 """Packages that the connector does not include."""
@@ -305,7 +304,7 @@ def _module(schema: Schema, package: str, names: list[str], used: list[str]) -> 
     lines = [
         HEAD.format(package=package),
         "from dataclasses import dataclass, field\nfrom typing import ClassVar\n\nimport numpy as np\n\n",
-        "from armcell.ros.messages import Message, TimeMessage\n",
+        "from armcell.ros.schema import Message, TimeMessage\n",
         *(f"import {other}.msg\n" for other in used),
     ]
     lines += [_class(schema, package, name) for name in names]

@@ -22,7 +22,7 @@ from armcell.model.mjcf.spec import UNSAVED, log_mujoco_warnings
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim.cups import CupIndex, add_cups, index_cups
 from armcell.sim.decals import Decal, add_decals
-from armcell.sim.objects import add_object, belt_name, slide_name, turn_name, weld_name
+from armcell.sim.objects import GeomAdder, add_object, belt_name, slide_name, turn_name, weld_name
 from armcell.sim.robot import (
     add_arm_actuators,
     add_excludes,
@@ -33,7 +33,6 @@ from armcell.sim.robot import (
     tendon_name,
 )
 from armcell.sim.settings import PhysicsSettings
-from armcell.sim.shapes import GeomAdder
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -19,7 +19,7 @@ from armcell.sim.step_kernel import ALL
 
 Array = NDArray[np.float64]
 
-MOST_BODIES = 30  # each body takes one bit of MuJoCo's contact masks; all other geoms share the lowest bit
+BITS = 31  # of MuJoCo's contact masks: a body takes one; the lowest bit is for the bodies without their own
 UNKNOWN = {int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("PLANE", "HFIELD", "SDF")}
 """Geom types for which MuJoCo cannot compute distances."""
 FREE, SLIDE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -54,15 +54,19 @@ class PairCulling:
         model = built.mj
         self._model, n = model, model.nq
         comparable = _comparable(model)
-        plain = [b for b in range(model.nbody) if _plain(model, b)][:MOST_BODIES]
+        plain = [b for b in range(model.nbody) if _plain(model, b)]
+        bits = _free_bits(model, plain)[: len(plain)]
+        plain = plain[: len(bits)]
         if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):  # RK4 moves the bodies within a step
-            plain = []
+            plain, bits = [], []
         known = set(plain)
         self._pairs = np.array([p for p in comparable if known.issuperset(p)], np.int64).reshape(-1, 2)
         self._bit = np.zeros(model.ngeom, dtype=np.int32)
-        for i, body in enumerate(plain):
-            self._bit[_geoms(model, body)] = 1 << (i + 1)
+        for bit, body in zip(bits, plain, strict=True):
+            self._bit[_geoms(model, body)] = bit
+        self._all = sum(bits) | 1
         some = self._bit > 0
+        _touch_all(model, ~some, self._all)
         model.geom_contype[some] = self._bit[some]
         self._looked_at = np.bincount(np.array(comparable, np.int64).ravel(), minlength=model.nbody)
         self._open = self._looked_at.copy()
@@ -91,8 +95,28 @@ class PairCulling:
         """
         model = self._model
         self._left[:], self._shut[:], self._open[:] = -1.0, False, self._looked_at
-        model.geom_conaffinity[self._bit > 0] = ALL
+        model.geom_conaffinity[self._bit > 0] = self._all
         model.body_contype[self._bodies] = model.body_conaffinity[self._bodies] = ALL
+
+
+def _free_bits(model: mujoco.MjModel, plain: list[int]) -> list[int]:
+    """Return the bits that no contact mask of a geom uses, except on plain bodies, and except the lowest bit.
+
+    Geoms of MJCF files may use any bits.
+    """
+    others = ~np.isin(model.geom_bodyid, plain)
+    used = np.bitwise_or.reduce((model.geom_contype | model.geom_conaffinity)[others], initial=1)
+    return [1 << k for k in range(BITS) if not int(used) >> k & 1]
+
+
+def _touch_all(model: mujoco.MjModel, others: NDArray[np.bool_], bits: int) -> None:
+    """Let the geoms without their own bit touch the bodies with one, if they touched geoms with the default
+    masks before.
+    """
+    accepting = others & (model.geom_conaffinity & 1 > 0)
+    model.geom_conaffinity[accepting] |= bits
+    for body in set(model.geom_bodyid[accepting].tolist()):
+        model.body_conaffinity[body] |= bits
 
 
 def _geoms(model: mujoco.MjModel, body: int) -> list[int]:

@@ -17,7 +17,7 @@ from armcell.sim.decals import geom_name
 from armcell.sim.gl import GLRenderer, gl_backend
 from armcell.sim.gripper_servos import body_pose
 from armcell.sim.mujoco_model import RENDER_CAMERA, BuiltModel, build
-from armcell.sim.shapes import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP
+from armcell.sim.objects import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP
 from armcell.sim.world import SimWorld
 
 _MAX_DEPTH = 50.0  # [m] largest depth in an image

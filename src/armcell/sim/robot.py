@@ -8,7 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from armcell.core import SE3, Mesh
+from armcell.core import SE3, SO3, Mesh
+from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR, visual_parts
 from armcell.model.composition import finger_parts
@@ -16,14 +17,14 @@ from armcell.model.mjcf.spec import physics_spec
 from armcell.model.robot import SERVO_ERROR, MjcfPart
 from armcell.scene import WORLD, PlanningScene
 from armcell.sim.joint_gains import arm_joints, check_joint_gains, effective_gains
-from armcell.sim.settings import PhysicsSettings
-from armcell.sim.shapes import (
+from armcell.sim.objects import (
     COLLISION_GROUP,
     OBJECT_GROUP,
     VISUAL_GROUP,
     GeomAdder,
     full_inertia,
 )
+from armcell.sim.settings import PhysicsSettings
 
 EXCLUDED = 1e-3  # [rad or m] by which a mimic joint's limits may miss the range of its coupling
 FINGER_INERTIA = 2.0  # [kg] largest armature of a hand's joint, as mass at the pads (Menagerie's 2F-85: 1.5)
@@ -304,6 +305,31 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
         stiffness = float(np.ravel(joint.stiffness)[0])
         actuator.biasprm[0] += multiplier * stiffness * (offset - joint.springref)
         actuator.biasprm[1] += multiplier**2 * stiffness
+    _turn_pad_boxes(spec, model, gripper)
+
+
+def _turn_pad_boxes(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper) -> None:
+    """Rename the axes of the boxes on a gripper's fingers so that x is the closing direction. The boxes
+    themselves do not change.
+
+    Where the side of a cylinder touches the edge of a box, MuJoCo 4.0 computes two contacts with the normal
+    of the first face along the edge, even if the cylinder presses on the other face (fixed in MuJoCo's commit
+    bbb71a28). Its first faces are those along x.
+    """
+    q = model.neutral()
+    q[model.joint_names.index(gripper.joint_name)] = gripper.joint_position(0.0)
+    tree = kinematic_tree(model)
+    y_axis = tree.link_pose(q, gripper.tcp_link).rotation.matrix[:, 1]
+    parts = [name for name, finger in finger_parts(model).items() if finger in gripper.finger_links]
+    for name in dict.fromkeys((*gripper.finger_links, *parts)):
+        closing = tree.link_pose(q, name).rotation.matrix.T @ y_axis
+        for geom in spec.body(name).geoms:
+            if geom.type != mujoco.mjtGeom.mjGEOM_BOX or geom.meshname:
+                continue
+            R = SO3.from_quat_wxyz(geom.quat).matrix
+            axis = int(np.argmax(np.abs(R.T @ closing)))
+            order = [(axis + k) % 3 for k in range(3)]  # a cyclic order stays right-handed
+            geom.quat, geom.size = SO3(R[:, order]).quat_wxyz, geom.size[order]
 
 
 def _hand_joints(model: RobotModel, gripper: Gripper) -> list[str]:

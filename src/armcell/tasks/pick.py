@@ -31,11 +31,11 @@ from armcell.tasks.stages import (
     ChoosePlacement,
     Close,
     Connect,
+    LiftCheck,
     MoveStraight,
-    RunSteps,
 )
 from armcell.tasks.stages.grasp import GraspFilter
-from armcell.tasks.steps import EMPTY, CheckLift, ExpectContact, perform_all
+from armcell.tasks.steps import EMPTY, perform_all
 from armcell.tasks.task import holding_condition, plan_stages
 
 AHEAD = "what comes next"  # stage of a pick that checks whether later stages are feasible with a grasp
@@ -292,15 +292,14 @@ def pick_stages(
     """
     supports = tuple(neighbors(scene, item))
     height = float(scene.object(item).T_world_object.translation[2])
-    check = CheckLift(item, gripper, height, s.lift_distance), ExpectContact(item, supports, expected=False)
     stages = grasp_stages(
         ChooseGrasp(item, gripper, s.near, s.approach_distance, excluded, WIDER if ahead else 1, among,
                     _grasp_filter(ahead)),
         gripper, s,
         Close(item, gripper, supports, s.grasp_settle),
         MoveStraight("lift", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, s.lift_distance),
-                 allow=((item, supports),)),
-        RunSteps("check grasp", check),
+                 allow=((item, supports),), least=s.least_approach),
+        LiftCheck(item, gripper, supports, height),
     )  # fmt: skip
     if ahead:
         after = partial(_grasped, item, gripper)
@@ -357,7 +356,7 @@ def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> Mo
     """
     return MoveStraight(
         "retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -distance),
-        in_tip_frame=True, allow=((item, gripper.hand_links),),
+        in_tip_frame=True, allow=((item, gripper.hand_links),), least=s.least_approach,
     )  # fmt: skip
 
 

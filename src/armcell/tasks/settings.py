@@ -64,7 +64,7 @@ class TaskSettings:
     max_candidates: int = 40  # grasps or placements evaluated per attempt
     prove_grasps: int = 0  # reachable grasps tested in physics before the choice; 0: no physics
     proof_trials: int = 8  # trials per grasp
-    least_approach: float = 0.03  # [m] minimum, if there is no space for approach_distance
+    least_approach: float = 0.03  # [m] minimum of the four distances above, if the arm does not reach farther
     planning_time: float = 5.0  # [s of CPU time] per motion
     planner_id: str = "RRTConnect"
     planning_budget: float = 20.0  # [s of CPU time] for all motions of one pick or place together

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError
 from armcell.core.checks import float_array
-from armcell.twin.dry_run import DryRun
-from armcell.twin.flange_load import estimate_load
+from armcell.twin.dry_run import DryRun, estimate_load
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,9 @@ from armcell.core import SE3, Explanation
 from armcell.viewer.background_jobs import LatestTaskWorker
 from armcell.viewer.explanation_view import draw_explanation
 from armcell.viewer.motion_preview import AMBER, BLUE, GREEN, GREY, PALE_RED, Ghost, Player
-from armcell.viewer.plan_tab import PlanTab
+from armcell.viewer.plan_tab import PlanTab, StatesTab
 from armcell.viewer.planning_session import PlanningSession
 from armcell.viewer.scene_tab import SceneTab
-from armcell.viewer.states_tab import StatesTab
 from armcell.viewer.viewer import CellViewer
 from armcell.viewer.widgets import Callbacks
 

@@ -10,7 +10,6 @@ from tests.sizes import seeds
 from armcell.core import JointTrajectory
 from armcell.core.errors import InputError
 from armcell.drivers.franka.arm import time_stretch
-from armcell.drivers.franka.motion_limits import FR3, PANDA
 from armcell.drivers.franka.setpoint_stream import (
     COAST,
     TICK,
@@ -18,6 +17,7 @@ from armcell.drivers.franka.setpoint_stream import (
     SetpointStream,
     TimedSetpoints,
 )
+from armcell.drivers.franka.settings import FR3, PANDA
 from armcell.drivers.franka.wire.commands import MoveGenerator, MoveStatus
 from armcell.drivers.franka.wire.state import RobotCommand, RobotMode
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armcell.drivers.franka.motion_limits import FR3, LIMITS, PANDA
+from armcell.drivers.franka.settings import FR3, LIMITS, PANDA
 from armcell.drivers.franka.wire import commands, gripper
 from armcell.drivers.franka.wire.commands import (
     PROTOCOLS,

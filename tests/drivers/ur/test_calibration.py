@@ -18,7 +18,7 @@ from armcell.drivers.ur.wire.primary import Kinematics
 from armcell.emulators.ur.controller import factory_calibration
 from armcell.kinematics import kinematic_tree
 from armcell.model import MountedRobot, compose, load_robot
-from armcell.ros.unity.urdf import write_urdf
+from armcell.ros.unity.export import write_urdf
 
 UR10 = ur_model("UR10")
 

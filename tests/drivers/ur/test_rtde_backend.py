@@ -12,7 +12,7 @@ from tests.drivers.ur.rig import MOVE, one_arm, swing, two_arms
 from tests.execution.ungated import execute
 
 from armcell.core import ErrorCode, InputError, JointTrajectory
-from armcell.drivers.ur.ur_rtde_connection import UrRtdeConnection
+from armcell.drivers.ur.ur_rtde_arm import UrRtdeConnection
 from armcell.drivers.ur.ur_rtde_worker import interpolate
 
 installed = importlib.util.find_spec("rtde_control") is not None

@@ -5,7 +5,7 @@ import random
 import pytest
 
 from armcell.drivers.ur.wire.models import ur_model
-from armcell.emulators.ur.builtins_io import io_functions
+from armcell.emulators.ur.builtins_data import io_functions
 from armcell.emulators.ur.plant import KinematicPlant
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.script_server import StateEncoder

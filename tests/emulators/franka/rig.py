@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from armcell.drivers.franka.motion_limits import FR3
+from armcell.drivers.franka.settings import FR3
 from armcell.drivers.franka.wire.commands import MoveController, MoveGenerator, MoveRequest, MoveStatus
 from armcell.drivers.franka.wire.state import RobotCommand, RobotMode, RobotState, read_state
 from armcell.emulators.franka import FrankaPlant, scene_without_cell, torque_world

@@ -17,7 +17,7 @@ from tests.ros.ros1.conftest import eventually, free_port
 from armcell.ros import Bus, ServiceError, schema
 from armcell.ros.codec import WireError, ros1_codec
 from armcell.ros.ros1 import Ros1Graph, Ros1Settings
-from armcell.ros.ros1.header import decode_header, encode_header, receive
+from armcell.ros.ros1.sockets import decode_header, encode_header, receive
 
 S = schema()
 STRING = "std_msgs/String"

@@ -12,9 +12,8 @@ from armcell.core import InputError, JointTrajectory
 from armcell.drivers.execution_handle import RUNNING, ExecutionHandle
 from armcell.drivers.franka.hand import FrankaHand
 from armcell.drivers.franka.identity import HINTS, FrankaIdentity, check_position, identify
-from armcell.drivers.franka.motion_limits import FrankaLimits, limits_of
 from armcell.drivers.franka.setpoint_stream import TICK
-from armcell.drivers.franka.settings import FrankaArmSettings
+from armcell.drivers.franka.settings import FrankaArmSettings, FrankaLimits, limits_of
 from armcell.drivers.franka.wire.commands import REQUESTS, Command, RecoveryStatus
 from armcell.drivers.franka.wire.state import GeneratorMode, RobotMode, RobotState
 from armcell.drivers.franka.worker_connection import WorkerConnection

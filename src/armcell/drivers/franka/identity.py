@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError
 from armcell.drivers.franka.client import FciClient, FciError
-from armcell.drivers.franka.motion_limits import HAND_MASS, MAX_LOAD, limits_of
-from armcell.drivers.franka.settings import FrankaArmSettings
+from armcell.drivers.franka.settings import HAND_MASS, MAX_LOAD, FrankaArmSettings, limits_of
 from armcell.drivers.franka.wire.commands import Command, WireError
 from armcell.drivers.franka.wire.state import RobotMode, RobotState, read_state
 from armcell.drivers.real import check_serial_and_calibration

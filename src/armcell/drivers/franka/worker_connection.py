@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from armcell.core import InputError
 from armcell.drivers.execution_handle import RUNNING
 from armcell.drivers.franka import worker_messages
-from armcell.drivers.franka.motion_limits import FrankaLimits
+from armcell.drivers.franka.settings import FrankaLimits
 from armcell.drivers.franka.wire.commands import Command, WireError
 from armcell.drivers.franka.wire.state import RobotState, read_state
 

@@ -3,9 +3,15 @@
 from armcell.drivers.real.arm import RealArm, RealGripper
 from armcell.drivers.real.driver import RealDriver
 from armcell.drivers.real.identity import NetworkReport, RobotIdentity, check_serial_and_calibration
-from armcell.drivers.real.robot_kind import BackendLibrary, RobotKind, identify_all, kind_of, robot_kinds
+from armcell.drivers.real.robot_kind import (
+    BackendLibrary,
+    RobotKind,
+    identify_all,
+    kind_of,
+    real_settings,
+    robot_kinds,
+)
 from armcell.drivers.real.settings import ArmSettings, RealSettings
-from armcell.drivers.real.settings_validation import real_settings
 
 __all__ = [
     "ArmSettings",

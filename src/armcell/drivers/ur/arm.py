@@ -20,8 +20,7 @@ from armcell.drivers.ur import program as commands
 from armcell.drivers.ur.calibration import HALF_TURN
 from armcell.drivers.ur.dashboard import DashboardClient
 from armcell.drivers.ur.gripper import SocketGripper, ToolGripper
-from armcell.drivers.ur.identity import UrIdentity, check_ready, identify
-from armcell.drivers.ur.network import Pinger
+from armcell.drivers.ur.identity import Pinger, UrIdentity, check_ready, identify
 from armcell.drivers.ur.program import ProgramConnection, ProgramSettings
 from armcell.drivers.ur.rtde_client import RobotState, RtdeClient
 from armcell.drivers.ur.settings import UrArmSettings

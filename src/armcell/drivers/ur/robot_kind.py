@@ -16,8 +16,7 @@ from armcell.drivers.real.robot_kind import check_distinct
 from armcell.drivers.ur.arm import UrArm
 from armcell.drivers.ur.calibration import calibrated_model
 from armcell.drivers.ur.dashboard import DashboardClient
-from armcell.drivers.ur.identity import UrIdentity, check_identity, check_ready, identify
-from armcell.drivers.ur.network import measure_network
+from armcell.drivers.ur.identity import UrIdentity, check_identity, check_ready, identify, measure_network
 from armcell.drivers.ur.rtde_client import RtdeClient
 from armcell.drivers.ur.settings import FIRST_PORT, UrArmSettings
 from armcell.drivers.ur.ur_rtde_arm import UrRtdeArm

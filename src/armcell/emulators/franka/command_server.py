@@ -8,7 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from armcell.drivers.franka import motion_limits
+from armcell.drivers.franka import settings
 from armcell.drivers.franka.wire import commands as wire
 from armcell.drivers.franka.wire.commands import Command, ConnectStatus, Protocol, SetterStatus
 from armcell.drivers.franka.wire.state import (
@@ -35,8 +35,8 @@ class StateWriter:
         m = self._message
         m["F_T_NE"] = robot.T_F_NE.T.ravel()
         if robot.plant.hand is not None:
-            m["m_ee"], m["F_x_Cee"] = motion_limits.HAND_MASS, motion_limits.HAND_CENTER
-            m["I_ee"] = np.diag(motion_limits.HAND_INERTIA).ravel()
+            m["m_ee"], m["F_x_Cee"] = settings.HAND_MASS, settings.HAND_CENTER
+            m["I_ee"] = np.diag(settings.HAND_INERTIA).ravel()
         self._frame, self._load = None, None  # parameters that the message has
         self._moving = m.numbers[FIELDS["elbow"].start : FIELDS["dtheta"].stop]
 

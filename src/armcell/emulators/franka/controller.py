@@ -11,8 +11,7 @@ from typing import Any, BinaryIO
 
 from armcell.core import InputError
 from armcell.core.checks import checked
-from armcell.drivers.franka.motion_limits import limits_of
-from armcell.drivers.franka.settings import FrankaArmSettings
+from armcell.drivers.franka.settings import FrankaArmSettings, limits_of
 from armcell.drivers.franka.wire.commands import PROTOCOLS
 from armcell.emulators.franka.command_server import CommandServer
 from armcell.emulators.franka.hand import Hand, HandServer

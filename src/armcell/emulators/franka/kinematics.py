@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, InputError
-from armcell.drivers.franka.motion_limits import FrankaLimits
+from armcell.drivers.franka.settings import FrankaLimits
 from armcell.model import Joint, Link, RobotModel
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ import ruckig
 from numba import njit
 from numpy.typing import NDArray
 
-from armcell.drivers.franka.motion_limits import ELBOW_FLIP, FrankaLimits
+from armcell.drivers.franka.settings import ELBOW_FLIP, FrankaLimits
 from armcell.drivers.franka.wire.commands import MoveController, MoveRequest, MoveStatus
 from armcell.drivers.franka.wire.state import RobotCommand
 from armcell.emulators.franka.kinematics import JOINTS, ArmKinematics, rotation_exp, rotation_log

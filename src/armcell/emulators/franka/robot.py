@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.drivers.franka import motion_limits
-from armcell.drivers.franka.motion_limits import FrankaLimits
+from armcell.drivers.franka import settings
+from armcell.drivers.franka.settings import FrankaLimits
 from armcell.drivers.franka.wire.commands import (
     MoveController,
     MoveGenerator,
@@ -439,7 +439,7 @@ class Robot:
     def set_load(self, mass: float, center: ArrayLike, inertia: ArrayLike) -> SetterStatus:
         """Set the load [kg] of the emulated Franka robot, its center (3,) [m] and inertia (9,) [kg m^2]."""
         load = Load(mass, np.asarray(center, dtype=float), np.asarray(inertia, dtype=float))
-        heavy = mass + (motion_limits.HAND_MASS if self.plant.hand else 0.0) > motion_limits.MAX_LOAD
+        heavy = mass + (settings.HAND_MASS if self.plant.hand else 0.0) > settings.MAX_LOAD
         if heavy or not load.is_valid:
             return SetterStatus.INVALID_ARGUMENT
         self.load = load

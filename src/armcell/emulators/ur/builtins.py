@@ -17,8 +17,7 @@ from armcell.drivers.ur.wire.kinematics import (
     pose_of,
     tool_jacobian,
 )
-from armcell.emulators.ur.builtins_io import io_functions
-from armcell.emulators.ur.builtins_math import math_functions
+from armcell.emulators.ur.builtins_data import io_functions, math_functions
 from armcell.emulators.ur.compliance import force_mode, freedrive
 from armcell.emulators.ur.motion import (
     BlendedMotion,

@@ -23,15 +23,12 @@ from armcell.drivers.ur.wire.primary import Kinematics
 from armcell.drivers.ur.wire.rtde import PORT as RTDE
 from armcell.emulators.network import Network
 from armcell.emulators.rack import Rack, SharedWorld, emulated_kinds, selector
-from armcell.emulators.ur.dashboard_server import PORT as DASHBOARD
-from armcell.emulators.ur.dashboard_server import DashboardServer
-from armcell.emulators.ur.external_control import ExternalControl, RemoteHost
-from armcell.emulators.ur.gripper_server import GripperServer
+from armcell.emulators.ur.dashboard_server import DASHBOARD_PORT, DashboardServer, GripperServer
 from armcell.emulators.ur.notices import Popup, ScriptFault
 from armcell.emulators.ur.plant import KinematicPlant, PhysicsPlant, Plant
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.rtde_server import RtdeServer
-from armcell.emulators.ur.script_server import ScriptServer
+from armcell.emulators.ur.script_server import ExternalControl, RemoteHost, ScriptServer
 
 TRACE, _TRACE_RECORD = struct.Struct("<B14d"), struct.Struct("<14d")
 """Trace record: arm index, monotonic time and robot time [s], actual and target positions (6,) [rad]."""
@@ -100,7 +97,7 @@ class UrController:
             self._gripper = GripperServer(self.robot, self.network, host)
             self._script = ScriptServer(self.robot, self.network, host)
             # Last: when the dashboard answers, all other ports are open.
-            self._dashboard = DashboardServer(self.robot, self.network, host, self._external, DASHBOARD)
+            self._dashboard = DashboardServer(self.robot, self.network, host, self._external, DASHBOARD_PORT)
         except BaseException:
             self.network.close()
             raise

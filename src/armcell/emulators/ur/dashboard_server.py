@@ -1,6 +1,10 @@
-"""Dashboard port (29999) of the emulated UR controller, with one answer line per command.
+"""Text ports of the emulated UR controller: dashboard (29999), and Robotiq's gripper URCap (63352).
 
 Commands that begin with `armcell` are extensions: they emulate hands, buttons and cables of a real robot.
+
+Commands are lines such as `SET POS 255 FOR 100 GTO 1` and `GET POS`. POS 0 is open, 255 closed; OBJ is 0
+during motion, 2 if an object stopped the closing motion, 3 at the target. Source: the 2F gripper's manual
+and public clients of this port.
 """
 
 from __future__ import annotations
@@ -13,13 +17,16 @@ import numpy as np
 from armcell.drivers.ur.wire.models import JOINTS
 from armcell.drivers.ur.wire.modes import RuntimeState
 from armcell.emulators.network import Network, TcpConnection
-from armcell.emulators.ur.external_control import NAME, ExternalControl
 from armcell.emulators.ur.plant import WORDS, set_fault
 from armcell.emulators.ur.robot import Robot
+from armcell.emulators.ur.script_server import NAME, ExternalControl
 
-PORT = 29999
+DASHBOARD_PORT = 29999
+
 GREETING = "Connected: Universal Robots Dashboard Server"
+
 MAX_LINE = 4096
+
 LOCAL_REFUSAL = "Command is not allowed due to safety reasons: the robot is in local control"
 
 HELP = f"""\
@@ -37,7 +44,7 @@ armcell messages"""
 
 class DashboardServer:
     def __init__(
-        self, robot: Robot, network: Network, host: str, external: ExternalControl, port: int = PORT
+        self, robot: Robot, network: Network, host: str, external: ExternalControl, port: int = DASHBOARD_PORT
     ):
         self._robot, self._network, self._external = robot, network, external
         greet = f"{GREETING}\n".encode()
@@ -165,3 +172,49 @@ class DashboardServer:
             case _:
                 raise ValueError
         return "done"
+
+
+GRIPPER_PORT = 63352
+
+MAX_GRIPPER_LINE = 1024
+
+
+class GripperServer:
+    def __init__(self, robot: Robot, network: Network, host: str, port: int = GRIPPER_PORT):
+        self._robot = robot
+        self._values = {"ACT": 0, "GTO": 0, "POS": 0, "SPE": 255, "FOR": 0, "ATR": 0, "ARD": 0}
+        network.listen(host, port, lambda link: None, self._data, "gripper")
+
+    def _data(self, link: TcpConnection) -> None:
+        while b"\n" in link.received:
+            line, _, rest = bytes(link.received).partition(b"\n")
+            link.received[:] = rest
+            link.send(f"{self._answer(line.decode('ascii', 'replace').split())}\n".encode())
+        if len(link.received) > MAX_GRIPPER_LINE:
+            link.close()
+
+    def _answer(self, words: list[str]) -> str:
+        if len(words) >= 3 and words[0] == "SET" and len(words) % 2 == 1:
+            try:
+                new = {k: int(v) for k, v in zip(words[1::2], words[2::2], strict=True)}
+            except ValueError:
+                return "?"
+            if not set(new) <= set(self._values) or not all(0 <= v <= 255 for v in new.values()):
+                return "?"
+            self._values.update(new)
+            if self._values["ACT"] and self._values["GTO"]:
+                self._robot.plant.drive_gripper(1.0 - self._values["POS"] / 255, self._values["FOR"] / 255)
+            return "ack"
+        if len(words) == 2 and words[0] == "GET":
+            opening, holds = self._robot.plant.gripper()
+            position = round(255 * (1.0 - opening))
+            if words[1] == "POS":
+                return f"POS {position}"
+            if words[1] == "OBJ":
+                arrived = abs(position - self._values["POS"]) <= 2
+                return f"OBJ {2 if holds else 3 if arrived else 0}"
+            if words[1] == "STA":
+                return f"STA {3 if self._values['ACT'] else 0}"
+            if words[1] in self._values:
+                return f"{words[1]} {self._values[words[1]]}"
+        return "?"

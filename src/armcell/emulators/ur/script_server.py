@@ -1,7 +1,12 @@
-"""Primary, secondary and real-time ports of the emulated UR controller: state messages, programs as text.
+"""Ports and pendant programs of the emulated UR controller that run programs as text; state messages.
 
 They receive URScript, and send robot state and messages. Ports 30001 to 30003 accept programs; ports 30011 to
 30013 send the same data and are read-only.
+
+The host's script sender (port 50002 of UR's ROS drivers) receives the line `request_program` and answers with
+URScript; that program then connects back to the host's reverse, trajectory and script command ports.
+
+Source: UniversalRobots/Universal_Robots_Client_Library, doc/architecture/script_sender.rst.
 """
 
 from __future__ import annotations
@@ -13,11 +18,12 @@ from functools import partial
 
 import numpy as np
 
+from armcell.core import InputError
 from armcell.drivers.ur.wire import primary, robot_messages
 from armcell.drivers.ur.wire.modes import RuntimeState, SafetyMode
 from armcell.emulators.network import Network, TcpConnection
 from armcell.emulators.ur.builtins import motion_functions, value_functions
-from armcell.emulators.ur.builtins_io import DigitalOutputs, socket_functions
+from armcell.emulators.ur.builtins_data import DigitalOutputs, socket_functions
 from armcell.emulators.ur.notices import Notice, Popup, ProgramState, SafetyChange, ScriptFault, TextMessage
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.rtde_server import outputs_of
@@ -25,7 +31,9 @@ from armcell.emulators.ur.urscript import Machine, ScriptError
 from armcell.emulators.ur.urscript.parser import MAX_SCRIPT, depth_after
 
 REALTIME_DOUBLES = (((3, 15), 152), ((3, 14), 142), ((3, 10), 139), ((3, 5), 138), ((3, 2), 132))
+
 """Number of doubles in the real-time message, by the first CB3 software version that sends it."""
+
 _REALTIME = (
     (0, "timestamp"), (1, "target_q"), (7, "target_qd"), (13, "target_qdd"), (19, "target_current"),
     (25, "target_moment"), (31, "actual_q"), (37, "actual_qd"), (43, "actual_current"),
@@ -39,9 +47,13 @@ _REALTIME = (
     (135, "elbow_velocity"), (138, "safety_status"), (142, "payload"), (143, "payload_cog"),
     (146, "payload_inertia"),
 )  # fmt: skip
+
 """Index of each value's first double. Source: Universal Robots, "Realtime Client Interface" (3.15, 5.10)."""
+
 READ_ONLY = 10  # offset of the read-only port's number
+
 STATE_PERIOD = 0.1  # [s] between states on the primary and secondary ports
+
 READ_ONLY_CODE = 210  # UR error code: commands over a read-only connection
 
 
@@ -279,3 +291,105 @@ class ScriptServer:
             elif due:
                 slow = slow or self._state.primary()
                 link.send(slow)
+
+
+NAME = "external_control.urp"
+
+SCRIPT_SENDER = 50002
+
+LAST_LINE = b"# NODE_CONTROL_LOOP_ENDS"
+
+PATIENCE = 2.0  # [s] to wait for the first byte
+
+SILENCE = 0.3  # [s] without another byte before the text counts as complete
+
+
+@dataclass(frozen=True)
+class RemoteHost:
+    """Address of the program that sends scripts to External Control,
+    as entered on the installation page of the URCap.
+    """
+
+    address: str
+    port: int = SCRIPT_SENDER
+
+    @staticmethod
+    def parse(text: str) -> RemoteHost:
+        """Parse the address from which the URCap External Control gets scripts: ADDRESS or ADDRESS:PORT.
+
+        Raises:
+            InputError: the text has neither form.
+        """
+        address, _, port = text.partition(":")
+        if not address or (port and not (port.isdigit() and 0 < int(port) < 65536)):
+            raise InputError(f"{text!r} is no address of a script sender", hint="such as 127.0.0.1:50002")
+        return RemoteHost(address, int(port) if port else SCRIPT_SENDER)
+
+
+class ExternalControl:
+    """Emulated program `external_control.urp`, which a dashboard client loads and plays."""
+
+    def __init__(self, robot: Robot, network: Network, remote: RemoteHost | None):
+        self._robot, self._network, self._remote = robot, network, remote
+        self.loaded = False
+        self._link: TcpConnection | None = None
+        self._size, self._since = 0, 0.0
+
+    def load(self, name: str) -> bool:
+        """Load the External Control program. Return False if `name` is another program or if the remote host
+        is not set.
+        """
+        if self._remote is None or name.rsplit("/", 1)[-1] != NAME:
+            return False
+        self._robot.end_program()
+        self.loaded = True
+        return True
+
+    def play(self) -> bool:
+        """Request the program text for External Control from the remote host. Return False if that fails.
+
+        The program starts when its text has arrived.
+        """
+        if (
+            not self.loaded
+            or self._remote is None
+            or not self._robot.can_run_program
+            or self._robot.machine is not None
+        ):
+            return False
+        self.stop()
+        link = self._network.connect(self._remote.address, self._remote.port)
+        if link is None:
+            self._robot.popup(
+                f"External Control: no host at {self._remote.address}:{self._remote.port} sends a program"
+            )
+            return False
+        link.send(b"request_program\n")
+        self._link, self._size, self._since = link, 0, self._robot.time
+        return True
+
+    def stop(self) -> None:
+        """Stop waiting for the program text that External Control has requested from the remote host."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def step(self) -> None:
+        """Receive the program text for External Control, and start the program once the text is complete.
+
+        Call this method once per control step.
+        """
+        link, now = self._link, self._robot.time
+        if link is None:
+            return
+        if len(link.received) != self._size:
+            self._size, self._since = len(link.received), now
+        silent = now - self._since > (SILENCE if self._size else PATIENCE)
+        if not (silent or not link.open or LAST_LINE in link.received or self._size > MAX_SCRIPT):
+            return
+        text = bytes(link.received).decode("utf-8", "replace")
+        self.stop()
+        if not text.strip():
+            self._robot.popup("External Control: no program came")
+        else:
+            run_script(self._robot, self._network, text, NAME)

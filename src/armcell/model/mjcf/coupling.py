@@ -47,8 +47,8 @@ class Couplings:
         """Add the coupling q[joint] = multiplier * q[other] + offset of two joints.
 
         The coupling connects the drivers of both joints. Of the two drivers, the one with its own actuator
-        stays the driver; if both or neither have one, the first in the tree does. A coupling that forms a
-        loop, or whose multiplier is 0, is ignored.
+        stays the driver. If both have one, the driver of `other` does; if neither has one, the first in the
+        tree does. A coupling that forms a loop, or whose multiplier is 0, is ignored.
         """
         a, (ka, ca) = self._root(joint)
         b, (kb, cb) = self._root(other)
@@ -56,9 +56,8 @@ class Couplings:
         if a == b or ka == 0 or multiplier * kb == 0:
             return
         k, c = multiplier * kb / ka, (multiplier * cb + offset - ca) / ka  # q[a] = k q[b] + c
-        if (a in self.actuated and b not in self.actuated) or (
-            (a in self.actuated) == (b in self.actuated) and a < b
-        ):
+        driven = a in self.actuated, b in self.actuated
+        if driven == (True, False) or (driven == (False, False) and a < b):
             a, b, k, c = b, a, 1 / k, -c / k
         for coupled, (driver, km, cm) in list(self.rules.items()):
             if driver == a:

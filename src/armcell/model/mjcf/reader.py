@@ -47,8 +47,16 @@ def load_mjcf(path: Path) -> RobotModel:
     Raises:
         InputError: the file is missing or invalid, MuJoCo rejects it, or it describes no robot.
     """
-    path = Path(path)
-    source = read_mjcf(path)
+    return parse_mjcf(read_mjcf(Path(path)))
+
+
+def parse_mjcf(source: MjcfText) -> RobotModel:
+    """Convert the text of an MJCF file to a robot. See `load_mjcf`.
+
+    Raises:
+        InputError: MuJoCo rejects the text, or it describes no robot.
+    """
+    path = source.file
     try:
         found = robot_spec(source.text)
         return _Reader(path, source, found).robot()

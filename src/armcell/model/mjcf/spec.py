@@ -200,13 +200,25 @@ def _add_sites(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
     return found
 
 
+def _state_pose(geom: Any, model: Any, i: int) -> None:
+    """State the pose and size of a geom of a robot's spec explicitly, as its compiled model has them.
+
+    The file may state them by another orientation, two end points or a <frame>.
+    """
+    geom.pos, geom.quat, geom.size = model.geom_pos[i], model.geom_quat[i], model.geom_size[i]
+    geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    geom.fromto = [np.nan] * 6
+    if geom.frame is not None:
+        geom.set_frame(geom.parent.add_frame())
+
+
 @lru_cache(maxsize=16)
 def physics_spec(text: str) -> Any:
     """Return the normalized MuJoCo spec of a robot, ready to be attached to the model of a simulated world.
 
-    Geoms that collide with nothing are removed, because armcell adds its own visuals; inertias are those of
-    the compiled model, which may come from geoms. Actuators are removed, because armcell's servos take over
-    their gains and force limits. Callers attach a copy of the spec.
+    Geoms that collide with nothing are removed, because armcell adds its own visuals; inertias and the poses
+    of boxes are those of the compiled model. Inertias may come from geoms. Actuators are removed, because
+    armcell's servos take over their gains and force limits. Callers attach a copy of the spec.
     """
     found = robot_spec(text)
     spec, model = found.spec, found.compiled
@@ -221,8 +233,11 @@ def physics_spec(text: str) -> Any:
     for i, geom in enumerate(list(spec.geoms)):
         if not (model.geom_contype[i] or model.geom_conaffinity[i] or i in solid):
             spec.delete(geom)
-        elif not (model.geom_contype[i] | model.geom_conaffinity[i]) & 1:
+            continue
+        if not (model.geom_contype[i] | model.geom_conaffinity[i]) & 1:
             geom.conaffinity = int(model.geom_conaffinity[i]) | 1  # otherwise objects would pass through it
+        if geom.type == mujoco.mjtGeom.mjGEOM_BOX and not geom.meshname:
+            _state_pose(geom, model, i)
     used = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):
         if mesh.name not in used:

@@ -16,7 +16,7 @@ import numpy as np
 
 from armcell.core import InputError, UnknownNameError
 from armcell.model.composition import with_tip
-from armcell.model.robot import EndEffector, RobotModel
+from armcell.model.robot import EndEffector, Joint, RobotModel
 from armcell.model.setup.arm_detection import cup_links
 from armcell.model.setup.cups import with_suction_gripper
 from armcell.model.setup.hand_geometry import GripperNotRecognizedError, HandGeometry
@@ -25,10 +25,12 @@ from armcell.model.setup.pads import with_measured_gripper
 
 logger = logging.getLogger(__name__)
 
-KEYS = ("end", "drive", "follower", "fingers", "tcp", "closes", "cups")
+KEYS = ("end", "drive", "follower", "range", "fingers", "tcp", "closes", "cups")
 SUCTION = "suction"
+NO_RANGE = 1e-6  # [rad or m] a joint with a smaller range cannot move
+RANGE = "correct the limits in the file, or pass --gripper with drive=JOINT range=LOWER,UPPER [rad or m]"
 FORMAT = (
-    "drive=JOINT follower=JOINT fingers=LINK,LINK tcp=LINK closes=lower|upper; "
+    "drive=JOINT follower=JOINT range=LOWER,UPPER fingers=LINK,LINK tcp=LINK closes=lower|upper; "
     "or suction cups=LINK,LINK tcp=LINK"
 )
 
@@ -41,7 +43,8 @@ class GripperSpec:
     Attributes:
         end: end effector; empty: the only one without a gripper.
         drive: driven joint; empty: the only driven joint of the end effector.
-        follower: driven joint that setup couples to `drive`, because the URDF lacks a <mimic>; empty: none.
+        follower: driven joint that setup couples to `drive`, because the description does not; empty: none.
+        range: limits [rad or m] of `drive`, if those in the URDF are wrong; empty: as described.
         fingers: links of the jaws on both sides; empty: recognized.
         tcp: link of the tool center, y in the closing direction, z out of the hand; empty: recognized.
         closes: limit of the driven joint at which the jaws are closed, "lower" or "upper"; empty: recognized.
@@ -52,6 +55,7 @@ class GripperSpec:
     end: str = ""
     drive: str = ""
     follower: str = ""
+    range: tuple[float, ...] = ()
     fingers: tuple[tuple[str, ...], ...] = ()
     tcp: str = ""
     closes: str = ""
@@ -88,11 +92,27 @@ class GripperSpec:
         suction = bool(cups) or SUCTION in words
         if "follower" in values and "drive" not in values:
             raise InputError(f"--gripper {text!r}: follower needs drive=JOINT, the joint that it follows")
+        limits = _limits(text, values.pop("range")) if "range" in values else ()
+        if limits and "drive" not in values:
+            raise InputError(f"--gripper {text!r}: range needs drive=JOINT, the joint that has these limits")
         if suction and (
             wrong := sorted({"drive", "follower", "closes"} & set(values)) + ["fingers"] * bool(fingers)
         ):
             raise InputError(f"--gripper {text!r}: a suction gripper has no {', '.join(wrong)}", hint=FORMAT)
-        return cls(fingers=fingers, suction=suction, cups=cups, **values)
+        return cls(fingers=fingers, suction=suction, cups=cups, range=limits, **values)
+
+
+def _limits(text: str, value: str) -> tuple[float, float]:
+    """Parse the limits of a gripper's driven joint that the user states, as "LOWER,UPPER" [rad or m]."""
+    try:
+        lower, upper = (float(word) for word in value.split(","))
+    except ValueError:
+        lower = upper = np.nan
+    if not (np.isfinite([lower, upper]).all() and lower < upper):
+        raise InputError(
+            f"--gripper {text!r}: range={value} does not have the form LOWER,UPPER with LOWER < UPPER"
+        )
+    return lower, upper
 
 
 def find_grippers(model: RobotModel, tips: bool = False, stated: Sequence[GripperSpec] = ()) -> RobotModel:
@@ -187,18 +207,22 @@ def _with_gripper(model: RobotModel, end: EndEffector, fact: GripperSpec) -> Rob
         raise GripperNotRecognizedError(
             f"drive: {fact.drive} is not a driven joint of it; those are {', '.join(driven)}"
         )
+    if not fact.drive and (stuck := [n for n in driven if _cannot_move(model.joints[n])]):
+        raise GripperNotRecognizedError(
+            f"joint {', '.join(stuck)} cannot move: lower and upper limit are equal",
+            RANGE + (" follower=JOINT, the joint of the other jaw" if len(driven) > 1 else ""),
+        )
     if fact.drive or len(driven) == 1:
         return _with_driven(model, end, fact.drive or driven[0], fact)
     found = [with_it for name in driven if (with_it := _moves_both_jaws(model, end, name, fact))]
     if len(found) == 1:
         return found[0]
     names = ", ".join(driven) or "fixed jaws"
-    hint = (
-        "add <equality><joint joint1=FOLLOWER joint2=DRIVE/></equality> to the MJCF file for each joint that "
+    hint = "pass --gripper with drive=JOINT follower=JOINT to couple two joints, or add " + (
+        "<equality><joint joint1=FOLLOWER joint2=DRIVE/></equality> to the MJCF file for each joint that "
         "follows another joint"
         if model.mjcf
-        else "pass --gripper with drive=JOINT follower=JOINT to couple two joints, or add "
-        '<mimic joint="..."/> in the URDF to the joints that follow another joint'
+        else '<mimic joint="..."/> in the URDF to the joints that follow another joint'
     )
     if found:
         names, hint = ", ".join(m.grippers[end.name].joint_name for m in found), "pass --gripper drive=JOINT"
@@ -224,12 +248,16 @@ def _with_driven(model: RobotModel, end: EndEffector, name: str, fact: GripperSp
     driver = model.joints[name]
     if not (np.isfinite(driver.limits.lower) and np.isfinite(driver.limits.upper)):
         raise GripperNotRecognizedError(f"joint {name} has no position limits")
-    if driver.limits.upper - driver.limits.lower < 1e-6:
-        raise GripperNotRecognizedError(f"joint {name} cannot move: lower and upper limit are equal")
+    if _cannot_move(driver):
+        raise GripperNotRecognizedError(f"joint {name} cannot move: lower and upper limit are equal", RANGE)
     hand = HandGeometry(model, driver)
     for link in (link for side in fact.fingers for link in side):
         _check_finger(hand, link)
     return with_measured_gripper(hand, end, find_jaws(hand, fact.fingers, fact.closes), fact.tcp)
+
+
+def _cannot_move(joint: Joint) -> bool:
+    return joint.limits.upper - joint.limits.lower < NO_RANGE
 
 
 def _check_finger(hand: HandGeometry, link: str) -> None:

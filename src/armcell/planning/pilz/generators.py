@@ -33,7 +33,6 @@ from armcell.core import (
 from armcell.core.checks import float_array, require
 from armcell.planning.certify import clearance_along, complete_motion
 from armcell.planning.moved_frame import MovedFrame
-from armcell.planning.pilz.motion_checks import check_joint_limits, prove_motion_free
 from armcell.planning.pilz.paths import (
     Curve,
     JointLine,
@@ -41,7 +40,9 @@ from armcell.planning.pilz.paths import (
     TipPath,
     arc_around,
     arc_through,
+    check_joint_limits,
     follow_path,
+    prove_motion_free,
     solver_for,
 )
 from armcell.planning.pilz.settings import AUXILIARY, PilzSettings

@@ -35,8 +35,7 @@ from armcell.planning.adapters import normalize_adapter_names
 from armcell.planning.certify import clearance_along
 from armcell.planning.diagnosis.pilz import explain_blend
 from armcell.planning.moved_frame import MovedFrame, peak_cartesian_speed, with_joint_positions
-from armcell.planning.pilz.motion_checks import check_joint_limits, prove_motion_free
-from armcell.planning.pilz.paths import JointSpline, solver_for
+from armcell.planning.pilz.paths import JointSpline, check_joint_limits, prove_motion_free, solver_for
 from armcell.planning.pilz.velocity_profile import CLOSE, SAMPLE_TIME
 from armcell.planning.pipeline import plan
 from armcell.planning.planners.registry import PILZ, normalized_pipeline_id

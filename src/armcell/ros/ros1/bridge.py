@@ -17,8 +17,8 @@ from armcell.core import ArmcellError
 from armcell.ros.bus import Bus, Handler, Publisher, TopicInfo
 from armcell.ros.codec import Codec, ros1_codec
 from armcell.ros.names import NameMap
-from armcell.ros.ros1.header import Fields
 from armcell.ros.ros1.node import Ros1Node
+from armcell.ros.ros1.sockets import Fields
 from armcell.ros.ros1.xmlrpc import RpcError
 
 logger = logging.getLogger(__name__)

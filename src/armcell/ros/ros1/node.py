@@ -21,12 +21,11 @@ from armcell.ros.codec import WireError
 from armcell.ros.faults import FaultCounter
 from armcell.ros.names import resolve
 from armcell.ros.ros1 import xmlrpc
-from armcell.ros.ros1.header import Fields, encode_header, receive
 from armcell.ros.ros1.publication import ANY, Attach, Publication
 from armcell.ros.ros1.registrar import Kind, Registrar
 from armcell.ros.ros1.services import Answerer, ServedService, ServiceClient
 from armcell.ros.ros1.settings import Ros1Settings, is_this_machine
-from armcell.ros.ros1.sockets import Listener, Reactor
+from armcell.ros.ros1.sockets import Fields, Listener, Reactor, encode_header, receive
 from armcell.ros.ros1.subscription import Sink, Subscription
 from armcell.ros.ros1.xmlrpc import Answer, Method, RpcError, RpcServer, call_method
 from armcell.ros.schema import Schema

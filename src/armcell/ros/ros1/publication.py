@@ -14,8 +14,7 @@ from typing import Any, Protocol
 from armcell.core import InputError
 from armcell.ros.codec import ros1_codec
 from armcell.ros.definitions import field_parts
-from armcell.ros.ros1.header import LENGTH, Fields, encode_header
-from armcell.ros.ros1.sockets import Reactor
+from armcell.ros.ros1.sockets import LENGTH, Fields, Reactor, encode_header
 from armcell.ros.schema import Schema
 
 logger = logging.getLogger(__name__)

@@ -17,10 +17,9 @@ from typing import Any
 from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import ServiceError
 from armcell.ros.codec import WireError, ros1_codec
-from armcell.ros.ros1.header import LENGTH, Fields, encode_header, read_exactly, receive
 from armcell.ros.ros1.publication import ANY
 from armcell.ros.ros1.settings import host_and_port
-from armcell.ros.ros1.sockets import shut_down_socket
+from armcell.ros.ros1.sockets import LENGTH, Fields, encode_header, read_exactly, receive, shut_down_socket
 from armcell.ros.schema import Schema
 
 logger = logging.getLogger(__name__)

@@ -14,9 +14,8 @@ from typing import Protocol
 from armcell.core import ArmcellError, InputError
 from armcell.ros.codec import WireError
 from armcell.ros.faults import FaultCounter
-from armcell.ros.ros1.header import LENGTH, Fields, encode_header, receive
 from armcell.ros.ros1.publication import ANY
-from armcell.ros.ros1.sockets import Reactor
+from armcell.ros.ros1.sockets import LENGTH, Fields, Reactor, encode_header, receive
 from armcell.ros.ros1.xmlrpc import RpcError, call_method
 
 logger = logging.getLogger(__name__)

@@ -22,8 +22,7 @@ from armcell.ros.distros import distro_from_environment
 from armcell.ros.names import resolve
 from armcell.ros.robot_description import RobotDescriptionPublisher
 from armcell.ros.ros2 import names
-from armcell.ros.ros2.action_client import Ros2ActionClient
-from armcell.ros.ros2.action_server import Ros2ActionServer
+from armcell.ros.ros2.actions import Ros2ActionClient, Ros2ActionServer
 from armcell.ros.ros2.codec import ros2_codec
 from armcell.ros.ros2.context import Context
 from armcell.ros.ros2.domain_scope import DomainScope, from_environment

@@ -1,13 +1,16 @@
-"""ROS 2 serialization (CDR) of the bus's messages, and the message definitions of a distribution.
+"""ROS 2 serialization (CDR) of the bus's messages, and message definitions for Cyclone DDS.
 
 The definitions include messages derived from actions. The bus's own definitions, which are ROS 1's,
 apply to user-defined types and to types that have the same layout in ROS 2.
+
+The library validates samples with these types and announces them to other participants.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import struct
+import threading
 from collections.abc import Callable
 from functools import cache
 from typing import Any, cast
@@ -20,11 +23,12 @@ from armcell.core import InputError, UnknownNameError
 from armcell.ros.codec import MAX_ITEMS, WireError
 from armcell.ros.definitions import PLACEHOLDER, Definition, field_parts, plain_name, rosbags_name
 from armcell.ros.distros import DISTROS, distro_definitions
-from armcell.ros.messages import ArrayConverter, Message, make_class, python_name
+from armcell.ros.ros2.names import DdsName, dds_type
 from armcell.ros.ros2.type_hash import TypeHashes
-from armcell.ros.schema import Schema
+from armcell.ros.schema import ArrayConverter, Message, Schema, make_class, python_name
 
 HEADER_BYTES = 4  # CDR's encapsulation header, before the fields
+
 _MISSING: Any = object()
 
 
@@ -274,3 +278,67 @@ def _maker(codec: Ros2Codec, name: str) -> Any:
 def ros2_codec(schema: Schema, distro: str) -> Ros2Codec:
     """Return the codec for a schema and a ROS 2 distribution. Codecs are cached."""
     return Ros2Codec(schema, distro)
+
+
+class Types:
+    """Thread-safe cache of the IDL types with which `cyclonedds` describes messages.
+    Each type is built on first use.
+    """
+
+    def __init__(self, codec: Ros2Codec):
+        self._codec = codec
+        self._lock = threading.Lock()
+        self._structs: dict[str, Any] = {}
+        self._topics: dict[tuple[str, str], Any] = {}
+
+    def of(self, name: DdsName) -> Any:
+        """Return the IDL type with which `cyclonedds` describes the message of a topic.
+
+        Raises:
+            InputError: DDS has no type for one of the fields.
+        """
+        with self._lock:
+            key = (name.type, name.message)
+            if key not in self._topics:
+                made = self._make(name.type, name.message, name.has_header)
+                made.__idl__.populate()
+                made.__idl__.fill_type_data()
+                self._topics[key] = made
+            return self._topics[key]
+
+    def _make(self, type_name: str, message: str, has_header: bool) -> Any:
+        from cyclonedds.idl import make_idl_struct, types
+
+        # Source of the header: cdds_request_header_t of rmw_cyclonedds_cpp.
+        fields: dict[str, Any] = {"guid": types.uint64, "seq": types.int64} if has_header else {}
+        for field, node in self._codec.definitions[message].fields:
+            fields[field] = self._field(node)
+        return make_idl_struct(
+            type_name.rpartition("::")[2], type_name.replace("::", "."), fields, dataclassify=False
+        )
+
+    def _struct(self, name: str) -> Any:
+        if name not in self._structs:
+            self._structs[name] = self._make(dds_type(self._codec.hashes.names.full(name)), name, False)
+        return self._structs[name]
+
+    def _field(self, node: Any) -> Any:
+        from cyclonedds.idl import types
+
+        kind, inner = node
+        if kind == Nodetype.ARRAY:
+            return types.array[self._field(inner[0]), inner[1]]
+        if kind == Nodetype.SEQUENCE:
+            item = self._field(inner[0])
+            return types.sequence[item, inner[1]] if inner[1] else types.sequence[item]
+        if kind == Nodetype.NAME:
+            return self._struct(plain_name(inner))
+        base, bound = inner
+        if base == "string":
+            return types.bounded_str[bound] if bound else str
+        if base in ("byte", "octet", "char"):
+            return types.uint8
+        found = bool if base == "bool" else getattr(types, base, None)
+        if found is None:
+            raise InputError(f"{base} fields cannot be sent over DDS")
+        return found

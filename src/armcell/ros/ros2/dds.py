@@ -1,7 +1,7 @@
 """Cyclone DDS for serialized samples: participant, writers and readers.
 
 armcell's codec encodes the messages, and the library transports them. The `cyclonedds` Python package needs
-type descriptions, which `idl.py` generates from armcell's definitions; the package's own, slower encoder is
+type descriptions, which `codec.py` generates from armcell's definitions; the package's own, slower encoder is
 not used. Writing calls the C library directly through ctypes, which releases the GIL (the package's own calls
 do not).
 """
@@ -22,9 +22,8 @@ from typing import Any, NamedTuple
 
 from armcell.core import ArmcellError, InputError, MissingExtraError
 from armcell.core.network_endpoints import open_sockets
-from armcell.ros.ros2.codec import Ros2Codec
+from armcell.ros.ros2.codec import Ros2Codec, Types
 from armcell.ros.ros2.domain_scope import DomainScope
-from armcell.ros.ros2.idl import Types
 from armcell.ros.ros2.names import DdsName
 from armcell.ros.ros2.qos import QosProfile, to_dds_qos
 

@@ -10,7 +10,7 @@ from armcell.tasks.stages.explicit_grasps import (
     UsePlacements,
 )
 from armcell.tasks.stages.fingers import MoveGripper
-from armcell.tasks.stages.grasp import AppendPlannedMotion, ChooseGrasp, Close
+from armcell.tasks.stages.grasp import AppendPlannedMotion, ChooseGrasp, Close, LiftCheck
 from armcell.tasks.stages.moves import Connect, MoveStraight, RunSteps, UprightConstraint
 from armcell.tasks.stages.place import ChoosePlacement, ExpectSupport, OpenHand
 
@@ -25,6 +25,7 @@ __all__ = [
     "ExplicitPlacement",
     "GripperTranslation",
     "Lift",
+    "LiftCheck",
     "MoveGripper",
     "MoveStraight",
     "OpenHand",

@@ -29,8 +29,14 @@ from armcell.tasks.grasp_proof import GraspProof, distinct_grasps, prove_grasps
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.few_joints import grasps_in_reach, has_few_joints
-from armcell.tasks.stages.moves import plan_straight, shifted
-from armcell.tasks.steps import CommandGripper, ConfirmGrasp, ExpectContact, WatchObject
+from armcell.tasks.stages.moves import plan_straight, plan_within_reach, shifted
+from armcell.tasks.steps import (
+    CheckLift,
+    CommandGripper,
+    ConfirmGrasp,
+    ExpectContact,
+    WatchObject,
+)
 from armcell.tasks.task import holding_condition
 from armcell.timing import reverse_trajectory
 
@@ -215,11 +221,8 @@ class ChooseGrasp:
         self, solution: PartialSolution, planning: SearchState, grasp: Grasp, proof: GraspProof | None
     ) -> Iterator[PartialSolution]:
         def back(at_grasp: PlanningScene, T_world_tcp: SE3) -> PlanResult:
-            result = self._backward(at_grasp, T_world_tcp, self.distance)
-            least = planning.settings.least_approach
-            if not result.ok and self.distance > least:
-                result = self._backward(at_grasp, T_world_tcp, least)
-            return result
+            over = partial(self._backward, at_grasp, T_world_tcp)
+            return plan_within_reach(over, self.distance, planning.settings.least_approach, True)
 
         for opened in openings(grasp, self.gripper):
             fits = False
@@ -333,6 +336,29 @@ class Close:
             ConfirmGrasp(self.object, self.gripper, grasp.width),
             WatchObject(self.object, self.supports),
             scene=scene,
+        )
+
+
+@stage_types.register("check_lift")
+@dataclass(frozen=True, eq=False)
+class LiftCheck:
+    """Stage of a pick that checks, after the lift, that the object has risen with the hand."""
+
+    object: str
+    gripper: Gripper
+    supports: tuple[str, ...]  # from here on, contact with them is unexpected
+    height_before: float  # [m] height of the object's origin before the lift
+    name: str = "check grasp"
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        return (holding_condition(self.object),)
+
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
+        rise = float(solution.scene.frame_pose(self.object).translation[2]) - self.height_before
+        yield solution.then(
+            CheckLift(self.object, self.gripper, self.height_before, rise),
+            ExpectContact(self.object, self.supports, expected=False),
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -28,6 +28,7 @@ from armcell.core import (
 )
 from armcell.core.checks import checked, require
 from armcell.planning import plan, plan_cartesian
+from armcell.planning.cartesian.line_following import COLLISION
 from armcell.scene import PlanningScene
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
@@ -36,6 +37,7 @@ from armcell.tasks.steps import Motion, Step
 LEAST_LEFT = 0.1  # share of the planning time below which a new attempt is not worthwhile
 MOST_AGAIN = 20  # limit of attempts, in case a planner waits without using the CPU
 SEED_STEP = 1_000_003
+WITHIN_REACH = 0.9  # length of a shorter straight motion, as a share of the feasible part of the full one
 
 
 @dataclass(frozen=True)
@@ -149,11 +151,19 @@ class MoveStraight:
     offset: tuple[float, float, float]  # [m]
     in_tip_frame: bool = False
     allow: tuple[tuple[str, tuple[str, ...]], ...] = ()  # contacts allowed during this motion only
+    least: float | None = None  # [m] minimum length, if the arm does not reach farther; None: the full offset
 
     def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         scene = with_contacts(solution.scene, self.allow)
-        target = shifted(scene.frame_pose(self.link), self.offset, self.in_tip_frame)
-        result = plan_straight(scene, self.group, self.link, target, self.speed)
+        start, distance = scene.frame_pose(self.link), float(np.linalg.norm(self.offset))
+
+        def over(length: float) -> PlanResult:
+            x, y, z = np.asarray(self.offset) * (length / distance)
+            target = shifted(start, (x, y, z), self.in_tip_frame)
+            return plan_straight(scene, self.group, self.link, target, self.speed)
+
+        least = distance if self.least is None else self.least
+        result = plan_within_reach(over, distance, least)
         yield from with_motion(solution, planning, self.name, result, planned_in=scene)
 
 
@@ -175,6 +185,24 @@ def plan_straight(scene: PlanningScene, group: str, link: str, target: SE3, spee
     )
     result = plan_cartesian(scene, request)
     return replace(result, evidence={"goal": goal_data(PoseGoal(target, link)), **result.evidence})
+
+
+def plan_within_reach(
+    over: Callable[[float], PlanResult], distance: float, least: float, around_obstacles: bool = False
+) -> PlanResult:
+    """Plan a straight motion over a distance [m]. If the arm cannot move that far, plan a shorter motion:
+    nearly as far as the arm can move, or over the distance `least`.
+
+    Args:
+        over: plans the motion over a given length [m].
+        around_obstacles: whether the motion may also end before an obstacle that blocks the full distance.
+    """
+    result = over(distance)
+    for shorter in (WITHIN_REACH * result.fraction * distance, least):
+        blocked = result.evidence.get("cause") == COLLISION and not around_obstacles
+        if not result.ok and not blocked and least <= shorter < distance:
+            result = over(shorter)
+    return result
 
 
 def shifted(pose: SE3, offset: tuple[float, float, float], in_own_frame: bool) -> SE3:
@@ -224,6 +252,7 @@ __all__ = [
     "RunSteps",
     "UprightConstraint",
     "plan_straight",
+    "plan_within_reach",
     "shifted",
     "with_contacts",
     "with_motion",

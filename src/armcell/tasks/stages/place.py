@@ -25,7 +25,7 @@ from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.few_joints import TILT, has_few_joints, placements_in_reach
 from armcell.tasks.stages.grasp import finger_state, reachable
-from armcell.tasks.stages.moves import plan_straight
+from armcell.tasks.stages.moves import plan_straight, plan_within_reach
 from armcell.tasks.steps import (
     CheckStillHeld,
     CommandGripper,
@@ -157,9 +157,12 @@ class ChoosePlacement:
             return result if result.ok or placement.normal == UP else off(at_place, UP)
 
         def off(at_place: PlanningScene, direction: Vector) -> PlanResult:
-            x, y, z = (self.distance * w for w in direction)
-            above = T_world_tcp.shifted(x, y, z)
-            return plan_straight(at_place, gripper.arm_group, gripper.tcp_link, above, self.speed)
+            def over(length: float) -> PlanResult:
+                x, y, z = (length * w for w in direction)
+                above = T_world_tcp.shifted(x, y, z)
+                return plan_straight(at_place, gripper.arm_group, gripper.tcp_link, above, self.speed)
+
+            return plan_within_reach(over, self.distance, planning.settings.least_approach)
 
         yield from descents(
             solution,

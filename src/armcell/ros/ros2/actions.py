@@ -1,4 +1,4 @@
-"""Server of the bus's actions in the ROS 2 domain: three services and two topics per action.
+"""Actions between the bus and the ROS 2 domain: a server of the bus's actions, and a client.
 
 Source: design.ros2.org/articles/actions.html, rcl_action. The bus has ROS 1's actions, whose server decides
 on a goal only after this bridge has accepted it. A goal that the server rejects is therefore aborted, and its
@@ -7,23 +7,30 @@ result contains the reason (a ROS 2 rejection cannot). The bridge rejects goals 
 
 from __future__ import annotations
 
+import os
 import queue
 import threading
 import time
 from typing import Any
 
 from armcell.core import ArmcellError
-from armcell.ros.actions import MAX_GOALS, GoalState
+from armcell.ros.actions import MAX_GOALS, ActionOutcome, ActionServer, Goal, GoalState
+from armcell.ros.bus import ServiceError
 from armcell.ros.faults import write_failure
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.context import Context
+from armcell.ros.ros2.dds import Sample
 from armcell.ros.ros2.qos import DEFAULT, LATCHED
-from armcell.ros.ros2.services import RequestId, Server
+from armcell.ros.ros2.services import Client, RequestId, Server
 
 KEPT_FOR = 900.0  # [s] that results are kept: rcl_action's default in Humble
+
 MAX_KEPT = 1000
+
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6  # action_msgs/GoalStatus
+
 NO_ERROR, REJECTED, UNKNOWN_GOAL, TERMINATED = 0, 1, 2, 3  # action_msgs/CancelGoal
+
 RUNNING = {
     GoalState.PENDING: ACCEPTED,
     GoalState.ACTIVE: EXECUTING,
@@ -32,8 +39,8 @@ RUNNING = {
 }
 
 
-class Goal:
-    """Goal that a ROS 2 client has sent to an action of the bus."""
+class ServedGoal:
+    """ServedGoal that a ROS 2 client has sent to an action of the bus."""
 
     def __init__(self, uuid: bytes, stamp: Any):
         self.uuid, self.stamp = uuid, stamp
@@ -58,7 +65,7 @@ class Ros2ActionServer:
 
     def __init__(self, context: Context, owner: object, name: str, type_name: str):
         self._context, self.name, self.type = context, name, type_name
-        self._goals: dict[bytes, Goal] = {}
+        self._goals: dict[bytes, ServedGoal] = {}
         self._lock = threading.Lock()
         self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
         bus, codec, outside = context.bus, context.codec, names.action_name(name, type_name)
@@ -118,7 +125,7 @@ class Ros2ActionServer:
             running = sum(not g.is_over for g in self._goals.values())
             accepted = uuid not in self._goals and running < MAX_GOALS
             if accepted:
-                self._goals[uuid] = Goal(uuid, stamp)
+                self._goals[uuid] = ServedGoal(uuid, stamp)
         server.reply(asked, codec.new(f"{self.type}_SendGoal_Response", accepted, stamp))
         if accepted:
             goal_id = bus.schema.new("actionlib_msgs/GoalID", stamp, uuid.hex())
@@ -197,7 +204,7 @@ class Ros2ActionServer:
             if changed:
                 self._tell()
 
-    def _final(self, goal: Goal, state: GoalState) -> int:
+    def _final(self, goal: ServedGoal, state: GoalState) -> int:
         """Return the status that ROS 2 assigns to a finished action goal.
 
         A goal that a newer one preempted without a cancel request counts as aborted.
@@ -208,14 +215,14 @@ class Ros2ActionServer:
             return CANCELED
         return ABORTED
 
-    def _end(self, goal: Goal, status: int, result: Any) -> None:
+    def _end(self, goal: ServedGoal, status: int, result: Any) -> None:
         with self._lock:
             goal.result, goal.status, goal.ended = result, status, time.monotonic()
             waiting, goal.waiting = goal.waiting, []
         self._answer(goal, waiting)
         self._tell()
 
-    def _answer(self, goal: Goal, waiting: list[RequestId]) -> None:
+    def _answer(self, goal: ServedGoal, waiting: list[RequestId]) -> None:
         response = self._context.codec.new(f"{self.type}_GetResult_Response", goal.status, goal.result)
         for asked in waiting:
             self._get_server.reply(asked, response)
@@ -230,16 +237,16 @@ class Ros2ActionServer:
             self._status.write(self._context.codec.encode(new("action_msgs/GoalStatusArray", statuses)))
 
     # --- goals ---
-    def _find(self, text: str) -> Goal | None:
+    def _find(self, text: str) -> ServedGoal | None:
         try:
             return self._goals.get(bytes.fromhex(text))
         except ValueError:  # the goal came from a client on the bus
             return None
 
-    def _uuid(self, goal: Goal) -> Any:
+    def _uuid(self, goal: ServedGoal) -> Any:
         return self._context.codec.new("unique_identifier_msgs/UUID", list(goal.uuid))
 
-    def _info(self, goal: Goal) -> Any:
+    def _info(self, goal: ServedGoal) -> Any:
         return self._context.codec.new("action_msgs/GoalInfo", self._uuid(goal), goal.stamp)
 
     def _forget_old(self) -> None:
@@ -248,3 +255,85 @@ class Ros2ActionServer:
         for i, goal in enumerate(over):
             if now - (goal.ended or now) > KEPT_FOR or len(over) - i > MAX_KEPT:
                 del self._goals[goal.uuid]
+
+
+FIND = 5.0  # [s] to find the action's server and to learn whether it accepts the goal
+
+POLL = 0.02  # [s]
+
+DONE = {SUCCEEDED: GoalState.SUCCEEDED, CANCELED: GoalState.PREEMPTED, ABORTED: GoalState.ABORTED}
+
+
+class Ros2ActionClient:
+    """Action server on the bus that forwards goals to an action in the ROS 2 domain."""
+
+    def __init__(self, context: Context, owner: object, name: str, type_name: str):
+        self._context, self.name, self.type = context, name, type_name
+        self._goals: dict[bytes, Goal] = {}
+        outside = names.action_name(name, type_name)
+        feedback = names.topic(outside + names.FEEDBACK, f"{type_name}_FeedbackMessage", "action")
+        self._message = feedback.message
+        context.codec.prepare(feedback.message)
+        self._send = Client(context, outside + names.SEND_GOAL, f"{type_name}_SendGoal", "action")
+        self._cancel = Client(context, outside + names.CANCEL_GOAL, "action_msgs/CancelGoal")
+        self._get = Client(context, outside + names.GET_RESULT, f"{type_name}_GetResult", "action")
+        self._feedback = context.reader(feedback, DEFAULT, self._on_feedback)
+        self._server = ActionServer(context.bus, name, type_name, self._execute, True, owner, accepts=False)
+
+    @property
+    def server_is_ready(self) -> bool:
+        """Return whether the server of an action has been discovered in the ROS 2 domain."""
+        return self._send.service_is_ready and self._get.service_is_ready
+
+    @property
+    def busy(self) -> bool:
+        """Return whether clients on the bus are waiting for results of the ROS 2 action."""
+        return bool(self._goals)
+
+    def close(self) -> None:
+        self._server.close()
+        for client in (self._send, self._cancel, self._get):
+            client.close()
+        self._context.drop(self._feedback)
+
+    def _execute(self, goal: Goal) -> ActionOutcome:
+        uuid = os.urandom(16)
+        self._goals[uuid] = goal
+        try:
+            return self._follow(goal, uuid)
+        except ArmcellError as error:
+            return ActionOutcome(
+                GoalState.ABORTED, self._context.bus.schema.new(f"{self.type}Result"), str(error)
+            )
+        finally:
+            self._goals.pop(uuid, None)
+
+    def _follow(self, goal: Goal, uuid: bytes) -> ActionOutcome:
+        new = self._context.codec.new
+        goal_id = new("unique_identifier_msgs/UUID", list(uuid))
+        asked = self._send.call(new(f"{self.type}_SendGoal_Request", goal_id, goal.message), FIND)
+        if not asked.accepted:
+            empty = self._context.bus.schema.new(f"{self.type}Result")
+            return ActionOutcome(GoalState.REJECTED, empty, "the ROS 2 server rejected the goal")
+        goal.accept()
+        answer = self._get.call_async(new(f"{self.type}_GetResult_Request", goal_id))
+        cancelled, seen = False, time.monotonic()
+        while (response := answer.wait(POLL)) is None:
+            if goal.cancel.is_set() and not cancelled:
+                cancelled = True
+                info = new("action_msgs/GoalInfo", goal_id)
+                self._cancel.call_async(new("action_msgs/CancelGoalRequest", info))
+            seen = time.monotonic() if self.server_is_ready else seen
+            if self._context.closed or time.monotonic() - seen > FIND:
+                raise ServiceError("the ROS 2 server went away")
+        return ActionOutcome(DONE.get(response.status, GoalState.ABORTED), response.result)
+
+    def _on_feedback(self, sample: Sample) -> None:
+        try:
+            message = self._context.codec.decode(self._message, sample.data)
+        except ArmcellError as error:
+            self._context.complain(f"feedback {self.name}", f"action {self.name}: {error}")
+            return
+        goal = self._goals.get(bytes(message.goal_id.uuid))
+        if goal is not None:
+            goal.feedback(message.feedback)

@@ -1,11 +1,21 @@
-"""Runs of a cell's task, with the result as JSON-ready data."""
+"""Runs of a cell's task or Python script, with the result as JSON-ready data.
+
+A script is the only code that armcell runs from a cell, and only `load_script` runs it. `load_script` logs
+the file name first. Commands that start other processes or connect arms before they load the script call
+`announce_code` themselves, so that the log line comes first.
+"""
 
 from __future__ import annotations
 
+import logging
+import os
+import runpy
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,10 +23,65 @@ from armcell.cell.cell import Cell
 from armcell.cell.cell_hashes import versions
 from armcell.cell.live import LiveCell
 from armcell.cell.schema import StepSpec
-from armcell.cell.script import load_script
 from armcell.core import Contact, ErrorCode, InputError, Outcome
 from armcell.grasping import Placement
 from armcell.tasks import TaskFailed, make_stage, perform_stages
+
+if TYPE_CHECKING:
+    from armcell.cell.cell import Cell
+
+
+log = logging.getLogger(__name__)
+
+Script = Callable[[LiveCell], Outcome | None]
+
+_announced: set[Path] = set()
+
+
+def announce_code(cell: Cell, origin: str = "") -> None:
+    """Log once per process which Python script runs as the task of a cell. Built-in cells log nothing.
+
+    Args:
+        origin: the source of the cell, if another user created it.
+    """
+    if cell.spec.script is not None:
+        with suppress(InputError):  # `load_script` reports the error
+            _announce(_file_of(cell.spec.script, cell.file), origin)
+
+
+def load_script(name: str, cell_file: Path) -> Script:
+    """Load the Python task script of a cell and return its function `task`.
+
+    Loading runs the top-level code of the file, like an import.
+
+    Raises:
+        InputError: the file does not exist in the cell's folder, or it has no function `task`.
+    """
+    file = _file_of(name, cell_file)
+    _announce(file)
+    found: Any = runpy.run_path(str(file)).get("task")
+    if not callable(found):
+        raise InputError("has no function task(cell)", file=file)
+    script: Script = found  # pyright: ignore[reportAssignmentType]
+    return script
+
+
+def _file_of(name: str, cell_file: Path) -> Path:
+    file = (cell_file.parent / name).resolve()
+    where = {"file": cell_file, "element": "script"}
+    if cell_file.parent.resolve() not in file.parents or file.suffix != ".py":
+        raise InputError(f"{name!r} is not a Python file in the cell's folder", **where)
+    if not os.path.isfile(file):
+        raise InputError(f"{name!r} does not exist", hint="put it beside the cell file", **where)
+    return file
+
+
+def _announce(file: Path, origin: str = "") -> None:
+    own = Path(__file__).resolve().parent
+    if file in _announced or own in file.parents:
+        return
+    _announced.add(file)
+    log.warning("armcell runs Python code of this cell%s: %s", f" ({origin})" if origin else "", file)
 
 
 def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[str, Any]:
