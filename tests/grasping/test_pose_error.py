@@ -7,7 +7,7 @@ import pytest
 from tests.grasping.solids import solid
 
 from armcell.core import SE3, Box
-from armcell.grasping import grasp_candidates, hand_of, openings, pre_opening
+from armcell.grasping import approach_depth, grasp_candidates, hand_of, openings, pre_opening
 from armcell.grasping.hand_fit_kernel import GAP, MARGIN
 from armcell.model import load_robot
 
@@ -54,3 +54,11 @@ def test_grasps_that_tolerate_an_error_come_first(hand):
     grasps, _ = grasp_candidates(plate, hand, pose_error=0.005)
     widths = [grasp.width for grasp in grasps]
     assert widths[0] < 0.05 and max(widths) > 0.06
+
+
+def test_the_open_hand_enters_an_object_that_is_farther_off_than_its_opening_allows(hand):
+    (grasp, *_), _ = grasp_candidates(CUBE, hand, pose_error=0.005)
+    beside = (grasp.opening - grasp.width) / 2
+    for share, enters in ((0.0, False), (0.9, False), (1.5, True), (-1.5, True)):
+        moved = grasp.T_object_tcp @ SE3.from_xyz(0.0, share * beside, 0.0)
+        assert (approach_depth(CUBE, hand, grasp, moved) > 0.0) == enters

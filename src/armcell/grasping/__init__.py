@@ -36,6 +36,7 @@ from armcell.grasping.placements import (
 from armcell.grasping.quality import (
     Noise,
     Quality,
+    approach_depth,
     contact_wrenches,
     grasp_quality,
     hull_quality,
@@ -63,6 +64,7 @@ __all__ = [
     "StablePose",
     "Surface",
     "TopDownGraspSettings",
+    "approach_depth",
     "cloud_surface",
     "contact_wrenches",
     "generator_for",

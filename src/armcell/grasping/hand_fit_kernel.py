@@ -116,7 +116,7 @@ def pre_opening(width, max_width, pose_error):
 
 
 @njit(cache=True)
-def _deepest(q, palm, left, right, approach, opening, gap):
+def depth_on_approach(q, palm, left, right, approach, opening, gap):
     """Return how deep [m] an open hand enters an object on its straight approach, in the compiled grasp
     kernel.
 
@@ -250,10 +250,10 @@ def fit_hand(
                     p[a] += R[a, 1] * middle - R[a, 2] * back + up[a] * lift
             if verdict[i] == FREE:
                 # --- approach of the open fingers and the palm
-                deepest = _deepest(q, palm, left, right, approach, opening, GAP + spare)
+                deepest = depth_on_approach(q, palm, left, right, approach, opening, GAP + spare)
                 if deepest > 0.0 and pose_error > 0.0:
                     opening = pre_opening(width, max_width, 0.0)
-                    deepest = _deepest(q, palm, left, right, approach, opening, GAP + spare)
+                    deepest = depth_on_approach(q, palm, left, right, approach, opening, GAP + spare)
                 if deepest > 0.0:
                     verdict[i], need = HAND_HITS, deepest
                     bound |= spare > 0.0
