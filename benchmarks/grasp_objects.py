@@ -33,7 +33,7 @@ from armcell.grasping.grasp import directions_around, needed_force, tcp_pose
 from armcell.grasping.hand_fit_kernel import cast
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel
-from armcell.scene import CollisionObject, Material, mesh_object
+from armcell.scene import CollisionObject, Material, library_object, mesh_object
 
 Array = NDArray[np.float64]
 Parts = list[tuple[Any, SE3]]  # coal.CollisionObject and its pose in the tcp frame
@@ -89,12 +89,21 @@ def listed() -> tuple[Listed, ...]:
     return tuple(Listed(*row, HALVES[i % 2]) for i, row in enumerate(sorted(found)))
 
 
+LIBRARY = tuple(
+    Listed(f"library {kind}", "library", kind, "tune")
+    for kind in ("box", "can", "bottle", "mug", "l_bracket", "rod", "bolt")
+)
+"""Objects of armcell's library, of which many tests know the shapes: not a part of the set."""
+
+
 def load(entry: Listed) -> CollisionObject:
-    """Return an object of the set, with armcell's default density and a friction of 0.5.
+    """Return an object of the set, with armcell's default density and a friction of 0.5, or of the library.
 
     Raises:
         subprocess.CalledProcessError: pip cannot download the wheel.
     """
+    if entry.source == "library":
+        return library_object(entry.file)
     file = folder(entry.source) / WHEELS[entry.source][1] / entry.file
     return mesh_object(entry.name, file, material=Material(FRICTION))
 

@@ -85,6 +85,24 @@ def test_a_part_of_a_range_is_found_too():
     assert found[0].p_value < 1e-6 and found[0].words == "a part of its range fails more often"
 
 
+@pytest.mark.parametrize(
+    ("good", "words"),
+    [
+        (0, "too few successes to tell (0)"),
+        (4, "too few successes to tell (4)"),
+        (57, "too few failures to tell (3)"),
+        (30, "low values succeed more often"),
+    ],
+)
+def test_too_few_successes_or_failures_tell_nothing(good, words):
+    """The lowest values succeed: with few successes, chance alone could have done it."""
+    x = np.linspace(0, 1, 60)
+    found = effects(rows(np.arange(60) < good, x=x.tolist(), kind=["a", "b"] * 30))
+    assert {e.path: e.words for e in found}["x"] == words
+    assert all(0 <= e.p_value <= 1 and (e.successes, e.failures) == (good, 60 - good) for e in found)
+    assert effects(rows([1] * 60, x=x.tolist())) == []  # nothing failed: nothing to explain
+
+
 def test_what_the_cell_draws_itself_is_looked_at_too():
     """A trial that made no cell has no draw; what is given stands for what is drawn."""
     y = np.random.default_rng(5).uniform(-1, 1, 100)

@@ -64,3 +64,13 @@ def test_an_opened_hand_may_grasp_again(held):
     driver.command_gripper("hand", 0.08, 20.0)
     driver.command_gripper("hand", 0.0, 20.0)
     assert driver.gripper("hand").held == "cube"
+
+
+def test_only_the_pose_of_an_object_that_no_arm_holds_can_be_corrected(held):
+    driver, _ = held
+    T = driver.object_poses()["cube"]
+    driver.correct_object_pose("cube", T.shifted(z=0.1))
+    assert driver.object_poses()["cube"].distance_to(T)[0] < 1e-6  # the hand knows better
+    driver.command_gripper("hand", 0.08, 20.0)
+    driver.correct_object_pose("cube", T.shifted(z=0.1))
+    assert driver.object_poses()["cube"].distance_to(T.shifted(z=0.1))[0] < 1e-6

@@ -93,7 +93,8 @@ def test_a_vacuum_that_fails_on_the_way_loses_the_object():
         outcome = cell.arm.place("box", on="table", at=(0.0, 0.2))
         assert outcome.code is ErrorCode.CONTROL_FAILED
         assert (
-            "lost box on the way (move to pre-place): nothing is on the cups (0 of 2 hold" in outcome.message
+            "lost box on the way (move to pre-place): nothing is on the cups (measured: 0 of 2 hold"
+            in outcome.message
         )
         assert "box" in cell.ctx.lost
 

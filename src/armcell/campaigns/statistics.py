@@ -15,6 +15,7 @@ from armcell.core import InputError
 Row = Mapping[str, Any]
 
 UNSIDED = 0.1  # maximum distance of the AUC from 0.5 at which no side of the range is better
+FEWEST = 5  # least number of successes, and of failures, that shows an effect of a parameter
 ALPHA = 0.05  # significance level; all intervals are 95 % intervals
 
 
@@ -117,15 +118,21 @@ class Effect:
         auc: for numeric parameters, the probability that a successful trial has a higher value than a failed
             trial; 0.5 means no influence. None for choices.
         p_value: probability of a difference at least this large if the parameter has no influence, with
-            Holm's correction for the number of parameters.
+            Holm's correction for the number of parameters. 1 if all trials failed.
+        successes, failures: number of trials with the parameter that succeeded, and that failed.
     """
 
     path: str
     auc: float | None
     p_value: float
+    successes: int
+    failures: int
 
     @property
     def words(self) -> str:
+        for count, name in ((self.successes, "successes"), (self.failures, "failures")):
+            if count < FEWEST:
+                return f"too few {name} to tell ({count})"
         if self.p_value >= ALPHA:
             return "no effect seen"
         if self.auc is None:
@@ -149,9 +156,10 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
     """Return the effect of each varied campaign parameter on the success rate, with statistics.
     The largest effect comes first.
 
-    The result is empty if all trials succeeded or all failed. Tests: for numbers Mann-Whitney (is one side of
-    the range better?) and Kolmogorov-Smirnov (is any part of the range better?), for choices chi-squared. The
-    tests need independent draws. Trials placed near failures are excluded, because they share all parameters
+    The result is empty if all trials succeeded. Tests: for numbers Mann-Whitney (is one side of the range
+    better?) and Kolmogorov-Smirnov (is any part of the range better?), for choices chi-squared. With fewer
+    than 5 successes or failures, the words of the effect say that they are too few to tell. The tests need
+    independent draws. Trials placed near failures are excluded, because they share all parameters
     of a failure, so every parameter would appear significant.
     """
     draws = [(drawn(row), bool(row["success"])) for row in without_adaptive_samples(rows)]
@@ -161,28 +169,33 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
     for path in sorted({path for draw, _ in draws for path in draw}):
         values = [draw[path] for draw, _ in draws if path in draw]
         good = np.array([success for draw, success in draws if path in draw])
-        if good.all() or not good.any():
+        counts = int(good.sum()), int((~good).sum())
+        if good.all():
             continue
         if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
             numbers = np.array(values, float)
             if np.ptp(numbers) == 0:
                 continue
+            if not good.any():
+                found.append((path, None, 1.0, counts))
+                continue
             higher = stats.mannwhitneyu(numbers[good], numbers[~good])
             other = stats.ks_2samp(numbers[good], numbers[~good])
             p = min(1.0, 2 * min(_p(higher), _p(other)))  # Bonferroni correction for two tests
-            found.append((path, float(higher.statistic) / (good.sum() * (~good).sum()), p))
+            found.append((path, float(higher.statistic) / (good.sum() * (~good).sum()), p, counts))
             continue
         kinds = sorted({repr(v) for v in values})
         if len(kinds) < 2:
             continue
-        counts = Counter((repr(v), bool(g)) for v, g in zip(values, good, strict=True))
-        table = [[counts[kind, True], counts[kind, False]] for kind in kinds]
-        found.append((path, None, _p(stats.chi2_contingency(table))))
+        by_kind = Counter((repr(v), bool(g)) for v, g in zip(values, good, strict=True))
+        table = [[by_kind[kind, True], by_kind[kind, False]] for kind in kinds]
+        p = _p(stats.chi2_contingency(table)) if good.any() else 1.0
+        found.append((path, None, p, counts))
     found.sort(key=lambda effect: effect[2])
     corrected, least = [], 0.0
-    for i, (path, auc, p) in enumerate(found):  # Holm (1979), Scand. J. Stat. 6
+    for i, (path, auc, p, counts) in enumerate(found):  # Holm (1979), Scand. J. Stat. 6
         least = max(least, min(1.0, p * (len(found) - i)))
-        corrected.append(Effect(path, auc, least))
+        corrected.append(Effect(path, auc, least, *counts))
     return corrected
 
 

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import os
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
@@ -368,6 +369,8 @@ class Cell:
             self.name, scene, driver, settings or self.settings, observers, seed or 0, self.cameras,
             self.decals, seen,
         )  # fmt: skip
+        if look is not None:
+            live.ctx.look = partial(LiveCell.look, weakref.proxy(live), look.camera)
         live.sensors, live.planner_configs = self.sensors, self.planner_configs
         return live
 

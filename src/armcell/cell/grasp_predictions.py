@@ -20,7 +20,7 @@ from armcell.cell.live import LiveCell
 from armcell.cell.perceived_objects import DetectedPoses, PerceivingDriver
 from armcell.core import SE3, Outcome
 from armcell.drivers import DriverOptions, drivers
-from armcell.grasping import Grasp, grasp_quality
+from armcell.grasping import Grasp, Noise, grasp_quality
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
@@ -34,7 +34,7 @@ from armcell.tasks import (
     prove_grasps,
     sample_object_variants,
 )
-from armcell.tasks.grasp_proof import MAX_SLIP, MAX_TURN
+from armcell.tasks.grasp_proof import MAX_SLIP, MAX_TURN, NOISE
 from armcell.tasks.stages import Close, RunSteps
 from armcell.tasks.steps import DONE, perform_all
 from armcell.tasks.task import plan_stages
@@ -82,7 +82,7 @@ class Prediction:
 
 def predictions(
     scene: PlanningScene, item: CollisionObject, gripper: Gripper, grasps: Sequence[Grasp],
-    settings: TaskSettings, count: int, duration: float, seed: Sequence[int],
+    settings: TaskSettings, count: int, duration: float, seed: Sequence[int], noise: Noise = NOISE,
 ) -> list[Prediction]:  # fmt: skip
     """Pick up to `count` times with random grasps and compare the predicted success with the results.
     Skip unreachable grasps.
@@ -91,10 +91,13 @@ def predictions(
         scene: the believed planning scene, with the object.
         duration: time [s] for which the object is held after the lift.
         seed: seeds the grasp draw and the object's true properties; independent of the proofs' seed.
+        noise: of the object's true properties, and the noise that the predictions assume.
     """
     rng, pool = np.random.default_rng(seed), distinct_grasps(grasps, POOL)
     drawn = [pool[i] for i in rng.permutation(len(pool))[: IN_VAIN * count]]
-    truths = sample_object_variants(item, len(drawn) + 1, rng)[1:]  # the first has the believed properties
+    truths = sample_object_variants(item, len(drawn) + 1, rng, noise)[
+        1:
+    ]  # the first has the believed properties
     found: list[Prediction] = []
     for grasp, truth in zip(drawn, truths, strict=True):
         if len(found) == count:
@@ -102,7 +105,7 @@ def predictions(
         held = simulate_pick(scene, truth, gripper, grasp, settings, duration)
         if held is None:
             continue
-        (proof,) = prove_grasps(scene.model, gripper, item, [grasp], settings.proof_trials)
+        (proof,) = prove_grasps(scene.model, gripper, item, [grasp], settings.proof_trials, noise)
         epsilon = grasp_quality(item, grasp).epsilon
         found.append(Prediction(grasp.name, proof.probability, epsilon, held.firmly, held))
     return found

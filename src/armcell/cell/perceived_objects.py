@@ -117,6 +117,18 @@ class PerceivingDriver(DriverProxy):
         others = {n: T for n, T in self._driver.object_poses().items() if n not in self._seen.known}
         return {**others, **self._seen.poses}
 
+    def correct_object_pose(self, name: str, T_world_object: SE3) -> None:
+        """Correct the pose of an object that no camera sees at present. The wrapped driver corrects the poses
+        of the objects that it reports.
+        """
+        if name not in self._seen.poses:
+            return self._driver.correct_object_pose(name, T_world_object)
+        self._seen.poses[name] = T_world_object
+        for gripper, (held, _) in self._held.items():
+            if held == name:
+                self._held[gripper] = (name, self._tcp(gripper).inverse() @ T_world_object)
+        return None
+
     def _follow(self) -> None:
         for gripper, (name, T_tcp_object) in self._held.items():
             self._seen.poses[name] = self._tcp(gripper) @ T_tcp_object

@@ -114,7 +114,9 @@ def _pick(cell, scene, name: str, arm: str | None) -> Finding:
         gripper = cell.model.gripper(arm_group=arm)
     except InputError as error:
         return False, what, str(error)
-    grasps, rejected = grasp_candidates(item, hand_of(cell.model, gripper))
+    grasps, rejected = grasp_candidates(
+        item, hand_of(cell.model, gripper), pose_error=cell.settings.pose_error
+    )
     if not grasps:
         miss = nearest_miss(rejected)
         return False, what, f"no grasp: {miss.reason if miss else 'no candidates'}"

@@ -152,7 +152,8 @@ def _explain_pick(loaded, scene, item: str) -> tuple[bool, dict[str, Any]]:
     if not scene.object(item).movable:
         raise InputError(f"object {item!r} is fixed", hint="give it 'movable: true'")
     gripper = loaded.model.gripper(arm_group=goal_options.arm_group(loaded.model))
-    grasps, rejected = grasp_candidates(scene.object(item), hand_of(scene.model, gripper))
+    hand = hand_of(scene.model, gripper)
+    grasps, rejected = grasp_candidates(scene.object(item), hand, pose_error=loaded.settings.pose_error)
     planning = SearchState(loaded.settings)
     stage = ChooseGrasp(item, gripper, loaded.settings.near, loaded.settings.approach_distance)
     works = {solution.data["candidate"] for solution in stage.propose(PartialSolution(scene), planning)}

@@ -4,6 +4,7 @@ from armcell.collision.certify import Certificate, MotionBound, certify_path
 from armcell.collision.certify_timed import TimedCertificate, certify_timed
 from armcell.collision.exact_checker import ExactChecker, neighbors
 from armcell.collision.inter_arm_checker import InterArmChecker, without_arms
+from armcell.collision.resting_height import resting_shift
 from armcell.collision.self_collision import disabled_collision_pairs
 from armcell.collision.self_filter import object_mask, remove_robot_points, robot_mask
 from armcell.collision.touch_links import attached_by_contact, touching_links
@@ -24,6 +25,7 @@ __all__ = [
     "neighbors",
     "object_mask",
     "remove_robot_points",
+    "resting_shift",
     "robot_mask",
     "touching_links",
     "view_cone",

@@ -410,12 +410,13 @@ def neighbors(scene: PlanningScene, name: str, within: float = 0.002) -> list[st
     item = scene.object(name)
     request, near = coal.DistanceRequest(), []
     for other in scene.objects.values():
-        if other.name != name and _object_distance(item, other, request) <= within:
+        if other.name != name and object_distance(item, other, request) <= within:
             near.append(other.name)
     return near
 
 
-def _object_distance(a: CollisionObject, b: CollisionObject, request: coal.DistanceRequest) -> float:
+def object_distance(a: CollisionObject, b: CollisionObject, request: coal.DistanceRequest) -> float:
+    """Return the exact distance [m] of two objects, negative if they overlap. Pairs of clouds are skipped."""
     best, result = np.inf, coal.DistanceResult()
     for shape_a, T_a in a.shapes:
         A = a.T_world_object @ T_a
@@ -445,5 +446,5 @@ def overlaps(scene: PlanningScene, name: str, tolerance: float = 5e-4) -> list[t
         tolerance: smaller overlaps [m] are ignored.
     """
     item, request = scene.object(name), coal.DistanceRequest()
-    depths = [(o.name, -_object_distance(item, o, request)) for o in scene.objects.values() if o.name != name]
+    depths = [(o.name, -object_distance(item, o, request)) for o in scene.objects.values() if o.name != name]
     return sorted([(n, d) for n, d in depths if d > tolerance], key=lambda nd: -nd[1])

@@ -50,9 +50,11 @@ class GripperReading:
         or, for suction cups, the vacuum.
         """
         if self.sealed is None:
-            return f"{self.held or 'nothing'} is between the fingers ({self.width * 1000:.1f} mm apart)"
+            apart = f"measured: {self.width * 1000:.1f} mm apart"
+            return f"{self.held or 'nothing'} is between the fingers ({apart})"
         level = "" if self.vacuum is None else f", vacuum {self.vacuum:.0f} kPa"
-        return f"{self.held or 'nothing'} is on the cups ({self.sealed[0]} of {self.sealed[1]} hold{level})"
+        hold = f"measured: {self.sealed[0]} of {self.sealed[1]} hold{level}"
+        return f"{self.held or 'nothing'} is on the cups ({hold})"
 
 
 @dataclass(frozen=True)
@@ -205,6 +207,12 @@ class Driver(ABC):
     @abstractmethod
     def object_poses(self) -> dict[str, SE3]:
         """Return T_world_object of the movable objects whose poses a driver knows."""
+
+    def correct_object_pose(self, name: str, T_world_object: SE3) -> None:
+        """Correct the pose of an object that a driver does not measure but only believes. A driver that
+        measures the pose ignores the correction.
+        """
+        return None
 
     def true_poses(self) -> dict[str, SE3]:
         """Return the true T_world_object of objects from the physics of

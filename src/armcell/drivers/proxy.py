@@ -121,6 +121,9 @@ class DriverProxy(Driver):
     def object_poses(self) -> dict[str, SE3]:
         return self._driver.object_poses()
 
+    def correct_object_pose(self, name: str, T_world_object: SE3) -> None:
+        self._driver.correct_object_pose(name, T_world_object)
+
     def true_poses(self) -> dict[str, SE3]:
         return self._driver.true_poses()
 

@@ -17,11 +17,12 @@ from armcell.grasping.grasp import (
     grip_force,
     nearest_miss,
     needed_force,
+    openings,
     pair_friction,
     rejection_sort_key,
     why_none,
 )
-from armcell.grasping.hand import Hand, hand_of, pre_opening
+from armcell.grasping.hand import POSE_ERROR, Hand, hand_of, pre_opening
 from armcell.grasping.placements import (
     FRICTION_MARGIN,
     RELEASE_GAP,
@@ -35,6 +36,7 @@ from armcell.grasping.placements import (
 from armcell.grasping.quality import (
     Noise,
     Quality,
+    approach_depth,
     contact_wrenches,
     grasp_quality,
     hull_quality,
@@ -49,6 +51,7 @@ from armcell.scene.resting import StablePose
 __all__ = [
     "FRICTION_MARGIN",
     "LIFT_ACCELERATION",
+    "POSE_ERROR",
     "RELEASE_GAP",
     "Grasp",
     "Hand",
@@ -62,6 +65,7 @@ __all__ = [
     "StablePose",
     "Surface",
     "TopDownGraspSettings",
+    "approach_depth",
     "cloud_surface",
     "contact_wrenches",
     "generator_for",
@@ -74,6 +78,7 @@ __all__ = [
     "lowest_point",
     "nearest_miss",
     "needed_force",
+    "openings",
     "pair_friction",
     "place_candidates",
     "placement_axis",

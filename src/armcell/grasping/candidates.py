@@ -28,7 +28,7 @@ from armcell.grasping.grasp import (
     holding_factor,
     needed_force,
 )
-from armcell.grasping.hand import Hand
+from armcell.grasping.hand import POSE_ERROR, Hand
 from armcell.grasping.suction import SuctionCandidates, evaluate_suction_grasps, find_seals
 from armcell.grasping.surface import Surface, surface_of
 from armcell.model import Gripper, SuctionGripper
@@ -44,6 +44,7 @@ ALIGNED = np.pi / 4  # [rad] angle up to which closing jaws turn a square back t
 PARTS = 5  # parts of this turn after which the width of the object is compared
 FAR_LEVER = 0.04  # [m] lever arm of the weight at which the score is halved
 MANY, GOOD = 100, 0.5  # candidates, and score of the best one, that end the sampling of an object's surface
+INTOLERANT = 0.2  # share of the score that a grasp loses if a pose error makes the hand touch the object
 CONVERGED = 0.02  # gain of the best score by a batch of proposals below which sampling ends
 
 
@@ -87,35 +88,42 @@ def generator_for(item: CollisionObject, gripper: Gripper | None = None) -> str:
 
 
 def grasp_candidates(
-    item: CollisionObject, hand: Hand, generator: str | None = None, on_support: bool = True
-) -> tuple[list[Grasp], list[Rejection]]:
+    item: CollisionObject, hand: Hand, generator: str | None = None, on_support: bool = True,
+    pose_error: float = POSE_ERROR,
+) -> tuple[list[Grasp], list[Rejection]]:  # fmt: skip
     """Return the grasp candidates for an object, best first, and the rejected ones with reasons.
+
+    Candidates that keep their distance from the object also at a pose error score higher.
 
     Args:
         generator: generator by name; default: by the object's geometry.
         on_support: the object rests on a support at its lowest point, which the hand must not touch.
+        pose_error: [m] distance by which the object's true pose may differ from the believed one.
     Raises:
         UnknownNameError: no such generator.
         InputError: the object has no surface that can be gripped.
     """
     up = item.T_world_object.rotation.matrix[2]  # world z in the object's frame
-    fitted = _fitted(item, hand, generator or generator_for(item, hand.gripper), up, on_support)
+    name = generator or generator_for(item, hand.gripper)
+    fitted = _fitted(item, hand, name, up, on_support, pose_error)
     if isinstance(fitted, SuctionCandidates):
         return evaluate_suction_grasps(item, hand, fitted, up)
     return _judged(item, hand, fitted, up)
 
 
 def surface_coverage(
-    item: CollisionObject, hand: Hand, generator: str | None = None, on_support: bool = True
-) -> float:
+    item: CollisionObject, hand: Hand, generator: str | None = None, on_support: bool = True,
+    pose_error: float = POSE_ERROR,
+) -> float:  # fmt: skip
     """Return the share of an object's surface, from 0 to 1, on which `grasp_candidates` tried grasps."""
     up = item.T_world_object.rotation.matrix[2]
-    fitted = _fitted(item, hand, generator or generator_for(item, hand.gripper), up, on_support)
+    name = generator or generator_for(item, hand.gripper)
+    fitted = _fitted(item, hand, name, up, on_support, pose_error)
     return 1.0 if isinstance(fitted, SuctionCandidates) else fitted.covered
 
 
 def turned_grasp(item: CollisionObject, hand: Hand, grasp: Grasp, name: str, T_object_tcp: SE3,
-                 angle: float) -> Grasp | Rejection:  # fmt: skip
+                 angle: float, pose_error: float = POSE_ERROR) -> Grasp | Rejection:  # fmt: skip
     """Check a grasp candidate at a TCP pose that is rotated from the candidate's own pose.
 
     The checks are those of `grasp_candidates`. They may shift the pose, for example to center the hand. If
@@ -127,13 +135,14 @@ def turned_grasp(item: CollisionObject, hand: Hand, grasp: Grasp, name: str, T_o
     Args:
         name: name of the rotated grasp.
         angle: [rad] rotation of the hand from the candidate's own pose.
+        pose_error: [m] distance by which the object's true pose may differ from the believed one.
     Returns:
         The grasp at the rotated pose, or the reason why it does not hold.
     """
     up = item.T_world_object.rotation.matrix[2]
     center = hand.gripper.grip_center(grasp.width, grasp.opening)
     proposals = Proposals([name], [(T_object_tcp @ center).matrix])
-    fitted = _fit(proposals, surface_of(item), hand, up, on_support=True)
+    fitted = _fit(proposals, surface_of(item), hand, up, True, pose_error)
     if isinstance(fitted, SuctionCandidates):
         found, rejected = evaluate_suction_grasps(item, hand, fitted, up)
         return found[0] if found else rejected[0]
@@ -174,7 +183,7 @@ class _Fitted:
     names: tuple[str, ...]
     poses: Array  # (k, 4, 4)
     verdict: NDArray[np.int64]
-    measures: Array  # (k, 3): see hand_fit_kernel.fit
+    measures: Array  # (k, 5): see hand_fit_kernel.fit
     contacts: Array  # (k, 2, 8)
     surface: Surface
     covered: float  # share of the surface that was tried
@@ -196,16 +205,16 @@ _kept: OrderedDict[tuple, _Fitted | SuctionCandidates] = OrderedDict()
 
 
 def _fitted(
-    item: CollisionObject, hand: Hand, generator: str, up: Array, on_support: bool
+    item: CollisionObject, hand: Hand, generator: str, up: Array, on_support: bool, pose_error: float
 ) -> _Fitted | SuctionCandidates:
     make = generators[generator]
     surface = surface_of(item)
     load = (item.mass_kg, item.material.friction, item.material.torsional_friction, item.thread)
-    key = (surface.key, id(hand), generator, (up.round(3) + 0.0).tobytes(), on_support, load)
+    key = (surface.key, id(hand), generator, (up.round(3) + 0.0).tobytes(), on_support, pose_error, load)
     if key not in _kept:
         made = make(item, surface, hand, up)
         batches = (made,) if isinstance(made, Proposals) else made
-        _kept[key] = _sampled(batches, item, surface, hand, up, on_support)
+        _kept[key] = _sampled(batches, item, surface, hand, up, on_support, pose_error)
         while len(_kept) > KEPT:
             _kept.popitem(last=False)
     _kept.move_to_end(key)
@@ -214,14 +223,14 @@ def _fitted(
 
 def _sampled(
     batches: Iterable[Proposals], item: CollisionObject, surface: Surface, hand: Hand, up: Array,
-    on_support: bool,
+    on_support: bool, pose_error: float,
 ) -> _Fitted | SuctionCandidates:  # fmt: skip
     """Check batches of proposed grasps for whether the hand fits the object, until there are enough good
     grasps or the generator has no more proposals.
     """
     found, best = None, -np.inf
     for proposals in batches:
-        fitted = _fit(proposals, surface, hand, up, on_support)
+        fitted = _fit(proposals, surface, hand, up, on_support, pose_error)
         if isinstance(fitted, SuctionCandidates):
             return fitted
         found = fitted if found is None else found.joined(fitted)
@@ -234,18 +243,29 @@ def _sampled(
 
 
 def _fit(
-    proposals: Proposals, surface: Surface, hand: Hand, up: Array, on_support: bool
+    proposals: Proposals, surface: Surface, hand: Hand, up: Array, on_support: bool, pose_error: float = 0.0
 ) -> _Fitted | SuctionCandidates:
     if isinstance(hand.gripper, SuctionGripper):
         return find_seals(tuple(proposals.names), proposals.poses, surface, hand, up, on_support)
     poses = np.array(proposals.poses, dtype=float).reshape(-1, 4, 4)
     floor = float((surface.points @ up).min()) if on_support else -np.inf
-    found = hand_fit_kernel.fit_hand(
-        poses, surface.points, surface.normals, hand.palm, hand.left, hand.right, hand.pad,
-        hand.thinnest, hand.gripper.max_width, np.ascontiguousarray(up), floor, APPROACH,
-    )  # fmt: skip
-    verdict, measures, contacts = found
-    return _Fitted(tuple(proposals.names), poses, verdict, measures, contacts, surface, proposals.covered)
+
+    def fit(names: tuple[str, ...], poses: Array, deep: bool) -> _Fitted:
+        found = hand_fit_kernel.fit_hand(
+            poses, surface.points, surface.normals, hand.palm, hand.left, hand.right, hand.pad,
+            hand.thinnest, hand.gripper.max_width, np.ascontiguousarray(up), floor, APPROACH, pose_error,
+            deep,
+        )  # fmt: skip
+        verdict, measures, contacts = found
+        return _Fitted(names, poses, verdict, measures, contacts, surface, proposals.covered)
+
+    found = fit(tuple(proposals.names), poses.copy(), False)
+    # A hand that is farther from the object may hold worse: propose the deeper grasp too.
+    farther = np.flatnonzero((found.verdict == hand_fit_kernel.FREE) & (found.measures[:, 4] > 0))
+    if len(farther):
+        names = tuple(f"{found.names[k]}, deeper" for k in farther)
+        found = found.joined(fit(names, poses[farther], True))
+    return found
 
 
 class _Loads:
@@ -304,7 +324,8 @@ class _Loads:
         from_above = np.where(down > 0.95, 1.0, 0.5 + 0.4 * down.clip(-1, 1))
         preferred = 0.1 * width / self.gripper.max_width + 1e-3 * (R[:, 0, 1] < -1e-6)
         self.good, self.force, self.slanted, self.least, self.needed = good, force, slanted, least, needed
-        self.beside, self.score = tilting + beyond, quality * from_above - preferred
+        tolerant = 1 - INTOLERANT * (1 - fitted.measures[good, 3])
+        self.beside, self.score = tilting + beyond, quality * from_above * tolerant - preferred
 
     def holds(self) -> NDArray[np.bool_]:
         """Return a mask (k,) of the grasp candidates for which gripper force and friction suffice."""

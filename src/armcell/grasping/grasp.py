@@ -7,14 +7,16 @@ from the approach and closing directions.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3
 from armcell.core.checks import checked, float_array
-from armcell.model import Gripper
+from armcell.grasping import hand_fit_kernel
+from armcell.model import Gripper, SuctionGripper
 from armcell.scene import CollisionObject
 
 F64 = NDArray[np.float64]
@@ -72,6 +74,19 @@ class Grasp:
     approach: float = APPROACH
     shortest_approach: float = SHORTEST_APPROACH
     contacts: tuple[PadContact, ...] = ()  # of the pads at +y and -y, or of the cups; TCP frame
+
+
+def openings(grasp: Grasp, gripper: Gripper) -> Iterator[Grasp]:
+    """Yield a grasp with its opening, then with the opening that allows for no error of the object's pose.
+
+    The smaller opening is for fingers beside an obstacle.
+    """
+    yield grasp
+    least = hand_fit_kernel.pre_opening(grasp.width, gripper.max_width, 0.0)
+    if grasp.contacts and least < grasp.opening - 1e-6 and not isinstance(gripper, SuctionGripper):
+        center = gripper.grip_center(grasp.width, grasp.opening)
+        T = grasp.T_object_tcp @ center @ gripper.grip_center(grasp.width, least).inverse()
+        yield replace(grasp, T_object_tcp=T, opening=least)
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from armcell.collision.convex_decomposition import convex_pieces
 from armcell.core import SE3, InputError, Mesh, Shape
 from armcell.core.geometry import local_bounds
-from armcell.grasping.hand_fit_kernel import MARGIN, WIDER
+from armcell.grasping import hand_fit_kernel
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel, SuctionGripper
 from armcell.model.grippers import RING_THICKNESS
 
 Array = NDArray[np.float64]
 
+POSE_ERROR = 0.005  # [m] by which an object may be beside its believed pose, if the cell sets no other value
 OVERLAP = 0.001  # [m] smallest width and height of a pad
 THINNEST = 5e-4  # [m] compression beyond the closed jaws with which a hand holds an object
 SLANTED = 0.001  # [m] by which a finger's box exceeds the pads' plane from which on slabs replace the box
@@ -55,9 +56,13 @@ class Hand:
         return np.concatenate([self.palm, self.left, self.right])
 
 
-def pre_opening(width: float, gripper: Gripper) -> float:
-    """Return how far [m] the fingers of a hand open before they grasp an object of a given width [m]."""
-    return min(max(width * WIDER, width + MARGIN), gripper.max_width)
+def pre_opening(width: float, gripper: Gripper, pose_error: float = 0.0) -> float:
+    """Return how far [m] the fingers of a hand open before they grasp an object of a given width [m].
+
+    Args:
+        pose_error: [m] distance by which the object's true pose may differ from the believed one.
+    """
+    return hand_fit_kernel.pre_opening(width, gripper.max_width, pose_error)
 
 
 @lru_cache(maxsize=32)

@@ -107,11 +107,47 @@ def _lowest(R, p, box, up, shift):
 
 
 @njit(cache=True)
-def fit_hand(poses, points, normals, palm, left, right, pad, thinnest, max_width, up, floor, approach):
+def pre_opening(width, max_width, pose_error):
+    """Return how far [m] the fingers open before they grasp an object, in the compiled grasp kernel.
+
+    The fingers pass the object if its true pose differs from the believed one by `pose_error` [m].
+    """
+    return min(max(width * WIDER, width + MARGIN, width + 2.0 * (pose_error + GAP)), max_width)
+
+
+@njit(cache=True)
+def depth_on_approach(q, palm, left, right, approach, opening, gap):
+    """Return how deep [m] an open hand enters an object on its straight approach, in the compiled grasp
+    kernel.
+
+    Args:
+        q: (n, 3) points of the object's surface in the frame of the hand.
+        gap: [m] distance of the hand from the object beside and below it.
+    """
+    deepest = 0.0
+    for side in range(3):
+        boxes = palm if side == 0 else left if side == 1 else right
+        shift = 0.0 if side == 0 else opening / 2 if side == 1 else -opening / 2
+        for b in range(len(boxes)):
+            for j in range(len(q)):
+                if boxes[b, 2] - approach < q[j, 2] < boxes[b, 5] + gap:
+                    x, y = q[j, 0], q[j, 1] - shift
+                    if boxes[b, 0] - gap < x < boxes[b, 3] + gap and boxes[b, 1] < y < boxes[b, 4]:
+                        inside = min(x - boxes[b, 0], boxes[b, 3] - x, y - boxes[b, 1], boxes[b, 4] - y)
+                        deepest = max(deepest, inside + gap)
+    return deepest
+
+
+@njit(cache=True)
+def fit_hand(
+    poses, points, normals, palm, left, right, pad, thinnest, max_width, up, floor, approach, pose_error=0.0,
+    deep=False,
+):  # fmt: skip
     """Fit a hand around the surface points of an object at each grasp pose, in the compiled grasp kernel.
 
     The function centers the hand between the surfaces that the pads touch, moves it back until palm and
-    support are clear, opens it for the object, and checks its straight approach.
+    support are clear, opens it for the object, and checks its straight approach. Where possible, the hand
+    keeps its distance from the object also at a pose error; otherwise it keeps the distances without error.
 
     Args:
         poses: (k, 4, 4) T_object_tcp, changed in place.
@@ -122,106 +158,113 @@ def fit_hand(poses, points, normals, palm, left, right, pad, thinnest, max_width
         up: (3,) direction away from the support, in the object's frame.
         floor: height of the support along `up` [m]; -inf without a support.
         approach: length [m] of the straight approach on which the open hand must not touch the object.
+        pose_error: [m] distance by which the object's true pose may differ from the believed one.
+        deep: True if the pose error must not move the hand back.
 
     Returns:
-        Verdicts (k,). Measures (k, 3) [m]: the object's width, the opening before the approach, and the
-        distance that the hand was moved (if the hand does not fit: the excess over the limit). Contacts
-        (k, 2, 8) of the pads at +y and -y: center and mean normal in the tcp frame, number of points, patch
-        radius [m].
+        Verdicts (k,). Measures (k, 5): the object's width, the opening before the approach, and the
+        distance that the hand was moved (if the hand does not fit: the excess over the limit) [m]; the share
+        of the distances that allow for the pose error, from 0 to 1; and 1 if the pose error moved the hand
+        back, else 0. Contacts (k, 2, 8) of the pads at +y and -y: center and mean normal in the tcp frame,
+        number of points, patch radius [m].
     """
     k, n = len(poses), len(points)
     verdict = np.zeros(k, dtype=np.int64)
-    measures = np.zeros((k, 3))
+    measures = np.zeros((k, 5))
     contacts = np.zeros((k, 2, 8))
     q = np.empty((n, 3))
     for i in range(k):
         R, p = poses[i, :3, :3], poses[i, :3, 3].copy()
         along_up = R[0, 2] * up[0] + R[1, 2] * up[1] + R[2, 2] * up[2]
         drawn, low_y, high_y, width, opening, need = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        verdict[i] = FREE
-        for turn in range(4):
-            for j in range(n):
-                x, y, z = points[j, 0] - p[0], points[j, 1] - p[1], points[j, 2] - p[2]
-                for a in range(3):
-                    q[j, a] = R[0, a] * x + R[1, a] * y + R[2, a] * z
-            low_y, high_y, found = np.inf, -np.inf, 0
-            least, most = np.inf, -np.inf
-            for j in range(n):
-                if (pad[0, 0] + INSET < q[j, 0] < pad[1, 0] - INSET
-                        and pad[0, 1] + INSET < q[j, 2] < pad[1, 1] - INSET):  # fmt: skip
-                    least, most = min(least, q[j, 1]), max(most, q[j, 1])
-                    if abs(q[j, 1]) < max_width / 2 + BESIDE:
-                        found += 1
-                        low_y, high_y = min(low_y, q[j, 1]), max(high_y, q[j, 1])
-            width = high_y - low_y
-            if turn == 0 and most > least and (found == 0 or width > max_width - MARGIN / 2):
-                verdict[i], need = TOO_WIDE, most - least
-                break
-            if found == 0 or width < thinnest:
-                verdict[i] = NOTHING_BETWEEN if turn == 0 else TOO_FLAT
-                need = drawn
-                break
-            if width > max_width - MARGIN / 2:
-                verdict[i], need = TOO_WIDE, width
-                break
-            opening = min(max(width * WIDER, width + MARGIN), max_width)
-            middle = (low_y + high_y) / 2
-            # --- distance to move back: palm off the object, whole hand off the support
-            back = 0.0
-            for b in range(len(palm)):
+        for tight in range(1 if deep else 0, 2):  # with the distances for the pose error, then without
+            spare = 0.0 if tight else pose_error
+            bound = False  # the distances for the pose error decide
+            p[:] = poses[i, :3, 3]
+            drawn = 0.0
+            verdict[i] = FREE
+            for turn in range(4):
                 for j in range(n):
-                    if (palm[b, 0] - PALM_GAP < q[j, 0] < palm[b, 3] + PALM_GAP
-                            and palm[b, 1] - PALM_GAP < q[j, 1] - middle
-                            and q[j, 1] - middle < palm[b, 4] + PALM_GAP):  # fmt: skip
-                        back = max(back, palm[b, 5] + PALM_GAP - q[j, 2])
-            lift = 0.0
-            if floor > -np.inf:
-                lowest = np.inf
-                for a in range(3):
-                    p[a] += R[a, 1] * middle
+                    x, y, z = points[j, 0] - p[0], points[j, 1] - p[1], points[j, 2] - p[2]
+                    for a in range(3):
+                        q[j, a] = R[0, a] * x + R[1, a] * y + R[2, a] * z
+                low_y, high_y, found = np.inf, -np.inf, 0
+                least, most = np.inf, -np.inf
+                for j in range(n):
+                    if (pad[0, 0] + INSET < q[j, 0] < pad[1, 0] - INSET
+                            and pad[0, 1] + INSET < q[j, 2] < pad[1, 1] - INSET):  # fmt: skip
+                        least, most = min(least, q[j, 1]), max(most, q[j, 1])
+                        if abs(q[j, 1]) < max_width / 2 + BESIDE:
+                            found += 1
+                            low_y, high_y = min(low_y, q[j, 1]), max(high_y, q[j, 1])
+                width = high_y - low_y
+                if turn == 0 and most > least and (found == 0 or width > max_width - MARGIN / 2):
+                    verdict[i], need = TOO_WIDE, most - least
+                    break
+                if found == 0 or width < thinnest:
+                    verdict[i] = NOTHING_BETWEEN if turn == 0 else TOO_FLAT
+                    need = drawn
+                    break
+                if width > max_width - MARGIN / 2:
+                    verdict[i], need = TOO_WIDE, width
+                    break
+                opening = pre_opening(width, max_width, pose_error)
+                middle = (low_y + high_y) / 2
+                # --- distance to move back: palm off the object, whole hand off the support
+                back, gap = 0.0, PALM_GAP + spare
                 for b in range(len(palm)):
-                    lowest = min(lowest, _lowest(R, p, palm[b], up, 0.0))
-                for b in range(len(left)):
-                    lowest = min(lowest, _lowest(R, p, left[b], up, opening / 2))
-                for b in range(len(right)):
-                    lowest = min(lowest, _lowest(R, p, right[b], up, -opening / 2))
+                    for j in range(n):
+                        if (palm[b, 0] - gap < q[j, 0] < palm[b, 3] + gap
+                                and palm[b, 1] - gap < q[j, 1] - middle
+                                and q[j, 1] - middle < palm[b, 4] + gap):  # fmt: skip
+                            back = max(back, palm[b, 5] + gap - q[j, 2])
+                bound |= spare > 0.0 and back > 0.0
+                lift = 0.0
+                if floor > -np.inf:
+                    lowest = np.inf
+                    for a in range(3):
+                        p[a] += R[a, 1] * middle
+                    for b in range(len(palm)):
+                        lowest = min(lowest, _lowest(R, p, palm[b], up, 0.0))
+                    for b in range(len(left)):
+                        lowest = min(lowest, _lowest(R, p, left[b], up, opening / 2))
+                    for b in range(len(right)):
+                        lowest = min(lowest, _lowest(R, p, right[b], up, -opening / 2))
+                    for a in range(3):
+                        p[a] -= R[a, 1] * middle
+                    lift = max(0.0, floor + CLEARANCE - lowest)
+                if lift > 1e-7 and along_up < -0.3:
+                    back, lift = max(back, lift / -along_up), 0.0
+                if along_up > 0.3 and lift > 1e-7:
+                    verdict[i], need = SUPPORT_HIT, lift
+                    break
+                need = back + lift
+                if need <= 1e-7 and abs(middle) < 1e-7:
+                    break
+                if turn == 3:
+                    if need > 1e-4:
+                        verdict[i] = SUPPORT_HIT if lift > back else HAND_HITS
+                    break
+                drawn += need
                 for a in range(3):
-                    p[a] -= R[a, 1] * middle
-                lift = max(0.0, floor + CLEARANCE - lowest)
-            if lift > 1e-7 and along_up < -0.3:
-                back, lift = max(back, lift / -along_up), 0.0
-            if along_up > 0.3 and lift > 1e-7:
-                verdict[i], need = SUPPORT_HIT, lift
+                    p[a] += R[a, 1] * middle - R[a, 2] * back + up[a] * lift
+            if verdict[i] == FREE:
+                # --- approach of the open fingers and the palm
+                deepest = depth_on_approach(q, palm, left, right, approach, opening, GAP + spare)
+                if deepest > 0.0 and pose_error > 0.0:
+                    opening = pre_opening(width, max_width, 0.0)
+                    deepest = depth_on_approach(q, palm, left, right, approach, opening, GAP + spare)
+                if deepest > 0.0:
+                    verdict[i], need = HAND_HITS, deepest
+                    bound |= spare > 0.0
+            if verdict[i] == FREE or not bound:
                 break
-            need = back + lift
-            if need <= 1e-7 and abs(middle) < 1e-7:
-                break
-            if turn == 3:
-                if need > 1e-4:
-                    verdict[i] = SUPPORT_HIT if lift > back else HAND_HITS
-                break
-            drawn += need
-            for a in range(3):
-                p[a] += R[a, 1] * middle - R[a, 2] * back + up[a] * lift
-        poses[i, :3, 3] = p
         measures[i, 0], measures[i, 1], measures[i, 2] = width, opening, drawn if verdict[i] == FREE else need
+        poses[i, :3, 3] = p
         if verdict[i] != FREE:
             continue
-        # --- approach of the open fingers and the palm
-        deepest = 0.0
-        for side in range(3):
-            boxes = palm if side == 0 else left if side == 1 else right
-            shift = 0.0 if side == 0 else opening / 2 if side == 1 else -opening / 2
-            for b in range(len(boxes)):
-                for j in range(n):
-                    if boxes[b, 2] - approach < q[j, 2] < boxes[b, 5] + GAP:
-                        x, y = q[j, 0], q[j, 1] - shift
-                        if boxes[b, 0] - GAP < x < boxes[b, 3] + GAP and boxes[b, 1] < y < boxes[b, 4]:
-                            inside = min(x - boxes[b, 0], boxes[b, 3] - x, y - boxes[b, 1], boxes[b, 4] - y)
-                            deepest = max(deepest, inside + GAP)
-        if deepest > 0.0:
-            verdict[i], measures[i, 2] = HAND_HITS, deepest
-            continue
+        beside = min((opening - width) / 2 / (pose_error + GAP), 1.0)
+        measures[i, 3], measures[i, 4] = (beside + (0.0 if tight else 1.0)) / 2, bound
         # --- contact patches of the pads
         for side in range(2):
             sign = 1.0 if side == 0 else -1.0

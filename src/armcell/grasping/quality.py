@@ -18,6 +18,7 @@ from armcell.grasping import hand_fit_kernel
 from armcell.grasping.grasp import LIFT_ACCELERATION, Grasp, PadContact, holding_factor
 from armcell.grasping.hand import Hand
 from armcell.grasping.surface import surface_of
+from armcell.model import SuctionGripper
 from armcell.scene import CollisionObject, Material
 
 Array = NDArray[np.float64]
@@ -126,6 +127,23 @@ def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
     low, high = surface.bounds
     size = float(np.linalg.norm(high - low)) / 2
     return hull_quality(contact_wrenches(grasp.contacts, about, size, item.material))
+
+
+def approach_depth(item: CollisionObject, hand: Hand, grasp: Grasp, T_object_tcp: SE3) -> float:
+    """Return how deep [m] the open hand of a grasp enters an object on its straight approach.
+
+    Args:
+        T_object_tcp: pose of the hand at the end of the approach, which may differ from the grasp's own pose.
+    """
+    if isinstance(hand.gripper, SuctionGripper):
+        return 0.0
+    T = T_object_tcp @ hand.gripper.grip_center(grasp.width, grasp.opening)
+    points = np.ascontiguousarray(T.inverse().apply(surface_of(item).points))
+    return float(
+        hand_fit_kernel.depth_on_approach(
+            points, hand.palm, hand.left, hand.right, grasp.approach, grasp.opening, 0.0
+        )
+    )
 
 
 def robustness(

@@ -127,6 +127,7 @@ class TaskContext:
         self.at_work: tuple[TaskContext, ...] = ()
         self.reports: list[StageReport] = []
         self.events: list[Event] = []
+        self.look: Callable[[], Outcome] | None = None  # looks with a camera again after a failed grasp
         self._next_sample = 0.0
         self._stops_told = 0  # number of reported safety events
         self._told = (0, 0)  # numbers of reported welds and unwanted contacts
@@ -140,12 +141,16 @@ class TaskContext:
         """
         return self.whole_scene()
 
-    def belief(self, name: str) -> str:
-        """Describe where an object is according to the task's planning scene. For real arms, the text also
-        explains how to correct a wrong pose.
+    def belief(self, name: str, width: float = 0.0) -> str:
+        """Describe where an object is according to the task's planning scene, as a believed value. For real
+        arms, the text also explains how to correct a wrong pose.
+
+        Args:
+            width: [m] of the object between the pads, if the text should state it.
         """
         x, y, z = self.scene().object(name).T_world_object.translation
-        text = f"the scene has {name} at {x:.3f} {y:.3f} {z:.3f}"
+        wide = f", {width * 1000:.1f} mm wide between the fingers" if width else ""
+        text = f"believed: the scene has {name} at {x:.3f} {y:.3f} {z:.3f}{wide}"
         if self.driver.is_simulated:
             return text
         return (
@@ -265,6 +270,15 @@ class TaskContext:
         scene = replace(self.base, positions=self.driver.joint_state().positions)
         T_world_object = self.driver.object_poses().get(item, scene.object(item).T_world_object)
         return scene.frame_pose(gripper.tcp_link).inverse() @ T_world_object
+
+    def correct_pose(self, name: str, T_world_object: SE3) -> None:
+        """Correct the believed pose of an object in a task's context. A pose that the driver measures stays
+        unchanged.
+        """
+        if name in self.driver.object_poses():
+            self.driver.correct_object_pose(name, T_world_object)
+        else:
+            self.change_scene(lambda scene: scene.with_object_pose(name, T_world_object))
 
     # --- coordination with other arms ---
     def request_start(self, motion: Any) -> JointTrajectory | Outcome:

@@ -115,10 +115,11 @@ class _MovingPick(Pick):
         outcome = perform_all(self._ctx, solution.steps)
         return replace(outcome, evidence={**outcome.evidence, "speed": self._speed})
 
-    def recover(self, outcome: Outcome) -> None:
+    def recover(self, outcome: Outcome) -> bool:
         ctx, gripper = self._ctx, self._gripper  # also after a scene change: the fingers may be closing
         ctx.holding.pop(self._item, None)
         CommandGripper("open", gripper, gripper.max_width, gripper.max_force).perform(ctx)
+        return False
 
 
 def _measured_velocity(ctx: TaskContext, item: str, s: ConveyorPickSettings) -> tuple[Array, float, SE3]:

@@ -15,15 +15,16 @@ import numpy as np
 from armcell._array_store import keep, recall
 from armcell.core import SE3, SO3
 from armcell.core.confidence_interval import wilson
-from armcell.grasping import Grasp, Noise, surface_of
+from armcell.grasping import Grasp, Noise, approach_depth, hand_of, surface_of
 from armcell.model import Gripper, RobotModel
 from armcell.scene import CollisionObject
 from armcell.sim import GraspTrial, TrialSettings, run_trials
 
+GRAZE = 5e-4  # [m] by which a finger may enter the object's surface points on the approach
 MAX_SLIP, MAX_TURN = 0.008, 0.3  # [m], [rad] maximum motion in the hand for accurate placing
 SAME_PLACE, SAME_WAY = 0.012, 0.3  # [m], [rad] closer grasps count as equal
 PRIOR_TRIALS, PRIOR_SHARE = 2.0, 0.97  # success rate of grasps that pass the geometric checks (`bench grasp`)
-VERSION = 4  # increase when the results of trials change
+VERSION = 5  # increase when the results of trials change
 
 NOISE = Noise(position=0.001, rotation=0.02)
 
@@ -69,7 +70,8 @@ def prove_grasps(
     """Prove grasps by simulation: lift and shake an object with each grasp in noisy physics trials.
 
     The first of the `trials` trials has no noise. The object rests on its support: its pose is uncertain
-    along the surface and about the vertical.
+    along the surface and about the vertical. A trial also fails if the open hand would touch the displaced
+    object on its approach.
 
     Raises:
         InputError: MuJoCo cannot load the hand or the object.
@@ -85,10 +87,16 @@ def prove_grasps(
     stored = [recall("proofs", key) for key in keys]
     missing = [i for i, kept in enumerate(stored) if kept is None]
     runs = [trial for i in missing for trial in _noisy(item, grasps[i], trials, noise, seed)]
+    hand = hand_of(model, gripper)
     results = run_trials(model, gripper, item, runs, settings, threads)
     for n, i in enumerate(missing):
         own = results[n * trials : (n + 1) * trials]
-        good = sum(not r.lost and r.slip <= MAX_SLIP and r.turn <= MAX_TURN for r in own)
+        poses = [run.T_object_tcp for run in runs[n * trials : (n + 1) * trials]]
+        clear = [approach_depth(item, hand, grasps[i], T) <= GRAZE for T in poses]
+        good = sum(
+            free and not r.lost and r.slip <= MAX_SLIP and r.turn <= MAX_TURN
+            for free, r in zip(clear, own, strict=True)
+        )
         moved = np.median([(min(r.slip, 1.0), min(r.turn, np.pi)) for r in own], axis=0)
         counts = np.array([good, trials])
         stored[i] = {"counts": counts, "moved": moved}

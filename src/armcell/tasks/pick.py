@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from armcell.collision import neighbors
+from armcell.collision import neighbors, resting_shift
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.execution import SCENE_INVALIDATED
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
+from armcell.tasks.approach import CONTACT, HandContact, shift_shown
 from armcell.tasks.context import TaskContext
 from armcell.tasks.search import Lookahead, PartialSolution, SearchState, Stage
 from armcell.tasks.settings import TaskSettings
@@ -38,6 +39,8 @@ from armcell.tasks.steps import EMPTY, perform_all
 from armcell.tasks.task import holding_condition, plan_stages
 
 AHEAD = "what comes next"  # stage of a pick that checks whether later stages are feasible with a grasp
+DOUBT = 2.0  # factor on the assumed pose error after a grasp without the object
+SAME_POSE = 0.002  # [m] by which a second look must move an object to correct its believed pose
 WIDER = 4  # factor on the number of grasps if later stages reject many
 
 
@@ -67,12 +70,11 @@ class Pick(ABC):
         Returns:
             SUCCESS, or the last failure. After a scene change the object stays in the hand if it is grasped.
         """
-        outcome, before = Outcome(ErrorCode.FAILURE, "not tried"), ""
+        outcome, causes = Outcome(ErrorCode.FAILURE, "not tried"), list[str]()
         for left in reversed(range(self.attempts)):
             solution, outcome = self.plan()
             if solution is None:
-                text = f"{outcome.message}; before that: {before}" if before else outcome.message
-                return replace(outcome, message=text)
+                return replace(outcome, message=_first_cause_first([*causes, outcome.message]))
             outcome = self.perform(solution)
             if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
                 return outcome
@@ -80,12 +82,13 @@ class Pick(ABC):
             if changed and self.keeps_object():
                 return outcome
             if not changed:
-                self.excluded = (*self.excluded, str(solution.data.get("candidate", "")))
-                before = outcome.message
+                causes.append(outcome.message)
             if left:
                 self.note(f"{self.label}: {outcome.message}" + ("" if changed else f"; {self.retry}"))
-            self.recover(outcome)
-        return outcome
+            corrected = self.recover(outcome)
+            if not changed and not corrected:
+                self.excluded = (*self.excluded, str(solution.data.get("candidate", "")))
+        return replace(outcome, message=_first_cause_first(causes or [outcome.message]))
 
     @abstractmethod
     def plan(self) -> tuple[PartialSolution | None, Outcome]:
@@ -105,15 +108,20 @@ class Pick(ABC):
         """
         return False
 
-    def recover(self, outcome: Outcome) -> None:
+    def recover(self, outcome: Outcome) -> bool:
         """Prepare the next attempt after a failed pick: open the hand and retreat from the object.
 
-        After a scene change, the hand has not closed yet. In this case the hand only retreats.
+        After a scene change or a contact during the approach, the hand has not closed yet. In these cases the
+        hand only retreats.
+
+        Returns:
+            Whether the believed pose of the object was corrected, so that the grasp is still usable.
         """
         changed = outcome.code is SCENE_INVALIDATED
-        held = False if changed else self.open_hand()
+        held = False if changed or CONTACT in outcome.evidence else self.open_hand()
         if held or ((changed or EMPTY in outcome.evidence) and self.is_around_object()):
             self.back_off()
+        return False
 
     def open_hand(self) -> bool:
         """Open the hand fully during a pick, and return whether it held the object."""
@@ -128,6 +136,11 @@ class Pick(ABC):
     def back_off(self) -> None:
         """Retreat straight from the object that the open hand surrounds after a failed pick."""
         return
+
+
+def _first_cause_first(causes: Sequence[str]) -> str:
+    """Return the message of a pick that failed in several attempts: the first cause, then the others."""
+    return "; then: ".join(dict.fromkeys(causes))
 
 
 def grasp_stages(
@@ -196,11 +209,14 @@ class _PickAtRest(Pick):
     ):
         super().__init__(f"pick {item}", partial(ctx.emit, "note"), ctx.settings.attempts, excluded)
         self._ctx, self._item, self._gripper, self._ahead = ctx, item, gripper, ahead
+        self._pose_error = ctx.settings.pose_error  # [m]
 
     def plan(self) -> tuple[PartialSolution | None, Outcome]:
         ctx = self._ctx
-        stages = pick_stages(ctx.scene(), self._item, self._gripper, ctx.settings, self.excluded, self._ahead)
-        return plan_stages(ctx, stages, self.label)
+        rest_object(ctx, self._item)
+        s = replace(ctx.settings, pose_error=self._pose_error)
+        stages = pick_stages(ctx.scene(), self._item, self._gripper, s, self.excluded, self._ahead)
+        return plan_stages(ctx, stages, self.label, settings=s)
 
     def perform(self, solution: PartialSolution) -> Outcome:
         outcome = perform_all(self._ctx, solution.steps)
@@ -223,6 +239,45 @@ class _PickAtRest(Pick):
 
     def back_off(self) -> None:
         back_off(self._ctx, self._item, self._gripper)
+
+    def recover(self, outcome: Outcome) -> bool:
+        ctx, item, contact = self._ctx, self._item, outcome.evidence.get(CONTACT)
+        shift, scene = np.zeros(3), ctx.scene()
+        if isinstance(contact, HandContact):  # before the hand moves
+            shift = shift_shown(scene, item, self._gripper, contact)
+        super().recover(outcome)
+        if EMPTY in outcome.evidence:  # the object may be farther from its believed pose than assumed
+            self._pose_error *= DOUBT
+        if ctx.look is not None and EMPTY in outcome.evidence and item in ctx.scene().objects:
+            before = ctx.scene().object(item).T_world_object
+            ctx.look()
+            seen = ctx.scene().objects.get(item)
+            return seen is not None and before.distance_to(seen.T_world_object)[0] > SAME_POSE
+        if not shift.any():
+            return False
+        ctx.correct_pose(item, scene.object(item).T_world_object.shifted(*shift.tolist()))
+        size = 1000 * float(np.linalg.norm(shift))
+        text = f"the contact shows {item} at least {size:.0f} mm beside its believed pose"
+        ctx.emit("note", f"{text}: corrected")
+        return True
+
+
+def rest_object(ctx: TaskContext, item: str) -> None:
+    """Correct the believed height of an object that a task is about to pick: an object at rest touches its
+    support.
+
+    The correction is at most the setting `pose_error`.
+    """
+    scene = ctx.scene()
+    shift = resting_shift(scene, item, ctx.settings.pose_error)
+    if not shift:
+        return
+    T = scene.object(item).T_world_object
+    ctx.correct_pose(item, T.shifted(z=shift))
+    if ctx.scene().object(item).T_world_object.distance_to(T)[0] > 0:  # not measured by the driver
+        way = "inside its support" if shift > 0 else "above its support"
+        text = f"believed: the scene has {item} {abs(shift) * 1000:.1f} mm {way}; it rests on it"
+        ctx.emit("note", f"{text}: corrected")
 
 
 def pick_stages(
@@ -276,6 +331,7 @@ def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
         InputError: no such object, not movable, or the gripper already holds something.
     """
     check_pickable(ctx, item, gripper)
+    rest_object(ctx, item)
     s, scene = ctx.settings, ctx.scene()
     supports = tuple(neighbors(scene, item))
     stages = grasp_stages(
@@ -306,8 +362,10 @@ def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> Mo
 
 def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) -> bool:
     """Return whether an open hand may still surround the object after a failed pick."""
-    tcp, T = scene.frame_pose(gripper.tcp_link), scene.object(item).T_world_object
-    return bool(np.linalg.norm(tcp.translation - T.translation) <= s.approach_distance)
+    known = scene.object(item)
+    low, high = known.bounds()
+    at = known.T_world_object.inverse().apply(scene.frame_pose(gripper.tcp_link).translation)
+    return bool(np.linalg.norm(at - np.clip(at, low, high)) < s.least_approach)
 
 
 def retreats(

@@ -233,7 +233,9 @@ class _Hands:
         side = _rounded(pose.up)
         if side not in self._grasps:
             item = replace(self._item, T_world_object=pose.placement.T_world_object)
-            found, rejected = grasp_candidates(item, self._hand)
+            found, rejected = grasp_candidates(
+                item, self._hand, pose_error=self._planning.settings.pose_error
+            )
             self._grasps[side] = distinct_grasps(found, GRASPS)
             for rejection in rejected if not found else ():
                 self._report(side, rejection.name, rejection.reason)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from armcell.core.checks import checked, require
 from armcell.execution import ExecutionSettings
+from armcell.grasping import POSE_ERROR
 from armcell.planning import find_planner
 
 _POSITIVE = (
@@ -19,6 +20,7 @@ _POSITIVE = (
     "planning_budget",
     "lost_after",
     "placement_tolerance",
+    "contact_force",
 )
 
 
@@ -50,6 +52,8 @@ class TaskSettings:
     lift_distance: float = 0.12  # [m]
     lower_distance: float = 0.08  # [m] pre-place to place
     retreat_distance: float = 0.10  # [m]
+    pose_error: float = POSE_ERROR  # [m] by which an object may be beside its believed pose unnoticed
+    contact_force: float = 15.0  # [N] on the hand that stops an approach, if the driver measures forces
     release_margin: float = 0.02  # [m] opening beyond the object's width
     grasp_settle: float = 0.3  # [s] pause after closing, before the arm moves
     release_settle: float = 0.3  # [s] pause after opening
@@ -72,7 +76,7 @@ class TaskSettings:
     def __post_init__(self) -> None:
         for name in _POSITIVE:
             require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
-        for name in ("release_margin", "grasp_settle", "release_settle"):
+        for name in ("pose_error", "release_margin", "grasp_settle", "release_settle"):
             require(getattr(self, name) >= 0, f"{name} is {getattr(self, name):g}, it must not be negative")
         require(self.prove_grasps >= 0, f"prove_grasps is {self.prove_grasps}, it must not be negative")
         for name in ("attempts", "max_candidates", "proof_trials", "solutions", "planning_threads"):

@@ -14,6 +14,7 @@ from armcell.tasks.context import HeldObject, StageReport, TaskContext
 
 DONE = Outcome(ErrorCode.SUCCESS)
 EMPTY = "empty"  # evidence key of outcomes with an empty hand
+UNLIKE = 0.004  # [m] by which a measured width may differ from the believed one without a note
 LOOK_AT_HANDS = 0.019  # [s] between two checks of the grippers
 
 
@@ -51,16 +52,24 @@ class Motion:
             return trajectory
         before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
         ctx.announce(trajectory, self.name, **self.plan_metadata())
-        watch = _DropMonitor(ctx, trajectory, self.planned_in)
+        watch = self.monitor(ctx, trajectory)
         result = execute(ctx.driver, watch, ctx.settings.execution, ctx.progress)
         ctx.rested()
         for name, T_before in before.items():
             held = ctx.holding[name]
             report.slip_m = T_before.distance_to(ctx.T_tcp_object(held.object, held.gripper))[0]
-        return watch.dropped(self.name) if watch.lost is not None else result
+        return watch.dropped(self.name) if watch.lost is not None else self.outcome(ctx, watch, result)
+
+    def monitor(self, ctx: TaskContext, trajectory: JointTrajectory) -> DropMonitor:
+        """Return the guarded motion that monitors a task's motion while it runs."""
+        return DropMonitor(ctx, trajectory, self.planned_in)
+
+    def outcome(self, ctx: TaskContext, watch: DropMonitor, result: Outcome) -> Outcome:
+        """Return the outcome of a task's motion, given the result of its execution."""
+        return result
 
 
-class _DropMonitor(GuardedMotion):
+class DropMonitor(GuardedMotion):
     """Guarded motion in a step of a task. In addition to the checks of `GuardedMotion`, it stops as soon as a
     hand has lost its object.
     """
@@ -180,16 +189,20 @@ class ConfirmGrasp:
 
     object: str
     gripper: Gripper
+    width: float = 0.0  # [m] believed width of the object between the pads; 0: unknown
 
     def perform(self, ctx: TaskContext) -> Outcome:
         reading = ctx.driver.gripper(self.gripper.name)
         if reading.held != self.object:
-            text = f"grasp failed: {reading.describe()}; {ctx.belief(self.object)}"
+            text = f"grasp failed: {reading.describe()}; {ctx.belief(self.object, self.width)}"
             return not_held(ctx, text)
         T = ctx.T_tcp_object(self.object, self.gripper)
         ctx.record_grasp(HeldObject(self.object, self.gripper, T))
         kind = "finger" if reading.sealed is None else "cup"
         ctx.emit("grasp", f"holds {self.object} with {reading.force_per_finger:.0f} N per {kind}")
+        if self.width and abs(reading.width - self.width) > UNLIKE:
+            text = f"{self.object} is {reading.width * 1000:.1f} mm wide between the fingers (measured)"
+            ctx.emit("note", f"{text}; {ctx.belief(self.object, self.width)}")
         return DONE
 
 
@@ -255,9 +268,10 @@ class CheckLift:
         if reading.held == self.object and height - self.height_before >= 0.5 * self.rise:
             return DONE
         rose = height - self.height_before
-        return lost(
-            ctx, self.object, f"lost {self.object}: it rose {rose * 1000:.0f} of {self.rise * 1000:.0f} mm"
-        )
+        text = f"lost {self.object} in the lift: {reading.describe()}"
+        if reading.held == self.object:
+            text += f", but it rose only {rose * 1000:.0f} of {self.rise * 1000:.0f} mm"
+        return lost(ctx, self.object, text)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
 from armcell.tasks.costs import Cost, costs, duration
 from armcell.tasks.search import PartialSolution, SearchState, Stage, solutions
+from armcell.tasks.settings import TaskSettings
 from armcell.tasks.stage_statistics import stage_rows, stage_table
 from armcell.tasks.steps import DONE
 
@@ -207,8 +208,9 @@ def emit_rejections(ctx: TaskContext, plan: TaskPlan, what: str) -> None:
 
 
 def plan_stages(
-    ctx: TaskContext, stages: Sequence[Stage], what: str, scene: PlanningScene | None = None
-) -> tuple[PartialSolution | None, Outcome]:
+    ctx: TaskContext, stages: Sequence[Stage], what: str, scene: PlanningScene | None = None,
+    settings: TaskSettings | None = None,
+) -> tuple[PartialSolution | None, Outcome]:  # fmt: skip
     """Plan a task that consists of the given stages, from the measured state or from a given scene.
 
     An event reports rejections or the failure.
@@ -216,13 +218,14 @@ def plan_stages(
     Args:
         what: names the task in messages.
         scene: the scene in which the stages start; default: the measured one.
+        settings: default: those of the context.
     Returns:
         The cheapest solution and a success, or None and the reason.
     Raises:
         TaskError: the stages do not fit together.
     """
     warm_up()  # compile before the planning time starts
-    s = ctx.settings
+    s = settings or ctx.settings
     task = Task(what, tuple(stages), costs[s.cost])
     start = PartialSolution(ctx.scene() if scene is None else scene)
     plan = task.plan(start, SearchState(s, ctx.seed, ctx.cancel), s.solutions)

@@ -462,6 +462,9 @@ class RealDriver(Driver):
     def object_poses(self) -> dict[str, SE3]:
         return dict(self._objects.poses)
 
+    def correct_object_pose(self, name: str, T_world_object: SE3) -> None:
+        self._objects.correct(name, T_world_object)
+
     def targets(self) -> JointState | None:
         self._connected()
         names = tuple(n for arm in self.arms.values() for n in arm.joint_names)

@@ -38,6 +38,11 @@ class HeldObjects:
         """Return the names of the objects that real arms hold, by gripper."""
         return {gripper: held.name for gripper, held in self._held.items()}
 
+    def correct(self, name: str, T_world_object: SE3) -> None:
+        """Correct the believed pose of a movable object that no real arm holds."""
+        if name in self.poses and name not in self.held.values():
+            self.poses[name] = T_world_object
+
     def release(self, gripper: str) -> None:
         """Record that a real arm's gripper opens."""
         self._held.pop(gripper, None)

@@ -132,7 +132,8 @@ class PickPlaceNode:
         item = scene.objects[asked.target_name]
         lift = GripperTranslation((0.0, 0.0, self.settings.lift_distance))
         if not asked.possible_grasps:
-            found, _ = grasp_candidates(item, hand_of(scene.model, gripper))
+            hand, error = hand_of(scene.model, gripper), self.settings.pose_error
+            found, _ = grasp_candidates(item, hand, pose_error=error)
             grasps = []
             for g in found:
                 axis = (item.T_world_object @ g.T_object_tcp).rotation.matrix[:, 2]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import chain, combinations, permutations, product
 from math import factorial, prod
 from operator import itemgetter
@@ -88,7 +88,8 @@ class TourEstimator:
         self._reaching = ReachEstimator(scene, gripper, settings.approach_distance)
         self._start = scene.positions[self._reaching.ik.columns]
         hand = hand_of(scene.model, gripper)
-        self._grasps = {item: grasp_candidates(scene.object(item), hand)[0] for item in zone}
+        candidates = partial(grasp_candidates, pose_error=settings.pose_error)
+        self._grasps = {item: candidates(scene.object(item), hand)[0] for item in zone}
         self._placed = {item: self._on_zone(item) for item in zone}
         self._until = cache(self._fetched)  # orders with a common prefix share its segments
 

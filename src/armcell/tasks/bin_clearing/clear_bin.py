@@ -283,13 +283,14 @@ class _PickFromHeap(Pick):
     def perform(self, solution: PartialSolution) -> Outcome:
         return perform_all(self._clearing.ctx, solution.steps)
 
-    def recover(self, outcome: Outcome) -> None:
+    def recover(self, outcome: Outcome) -> bool:
         counts, T = self._clearing.counts, self.grasp.T_object_tcp
         counts.missed += 1
         y = T.rotation.matrix[:, 1]
         at = float(T.translation[0]), float(T.translation[1])
         counts.avoid.append((*at, float(np.arctan2(y[1], y[0]))))
         self._clearing.retreat(self.grasp.opening)
+        return False
 
 
 def _closer(settings: TopDownGraspSettings, times: int) -> TopDownGraspSettings:

@@ -17,6 +17,7 @@ import numpy as np
 
 from armcell.core import SE3, SO3, Capsule, Cylinder, Sphere
 from armcell.grasping import (
+    POSE_ERROR,
     RELEASE_GAP,
     Grasp,
     Placement,
@@ -72,7 +73,7 @@ class _Family:
 
 def grasps_in_reach(
     scene: PlanningScene, gripper: Gripper, item: CollisionObject, grasps: Sequence[Grasp], enough: int,
-    reject: Callable[[str, str], None],
+    reject: Callable[[str, str], None], pose_error: float = POSE_ERROR,
 ) -> list[Grasp]:  # fmt: skip
     """Return the grasps that an arm with few joints reaches, best first. Collisions are not checked.
 
@@ -83,6 +84,7 @@ def grasps_in_reach(
         grasps: grasp candidates, best first.
         enough: number of reached grasps at which the search for replacements ends.
         reject: receives the name of each grasp that no rotation about an axis replaces, and the reason.
+        pose_error: [m] distance by which the object's true pose may differ from the believed one.
     """
     ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
     found: list[Grasp] = []
@@ -98,7 +100,7 @@ def grasps_in_reach(
         if len(found) >= enough:
             break
         names, reason = [grasp.name for grasp, _ in family.turns], OUT_OF_REACH
-        for other in _rotated_grasps(scene, gripper, item, family):
+        for other in _rotated_grasps(scene, gripper, item, family, pose_error):
             if isinstance(other, Rejection):
                 reason = other.reason
                 continue
@@ -153,7 +155,7 @@ def _families_at(item: CollisionObject, grasps: Sequence[Grasp], pitch: float) -
 
 
 def _rotated_grasps(
-    scene: PlanningScene, gripper: Gripper, item: CollisionObject, family: _Family
+    scene: PlanningScene, gripper: Gripper, item: CollisionObject, family: _Family, pose_error: float
 ) -> Iterator[Grasp | Rejection]:
     """Yield the grasps of a family in the reach of an arm with few joints, or why a grasp in reach does not
     hold the object.
@@ -165,7 +167,7 @@ def _rotated_grasps(
         name = f"{grasp.name}{pitched}, turned to the arm"
         for _ in range(ROUNDS):
             T_object_tcp = T_object_world @ pose.T_world_tip
-            other = turned_grasp(item, hand, grasp, name, T_object_tcp, angle)
+            other = turned_grasp(item, hand, grasp, name, T_object_tcp, angle, pose_error)
             if isinstance(other, Rejection):
                 degrees = np.rad2deg(angle)
                 yield replace(other, reason=f"in reach only turned by {degrees:.0f} deg: {other.reason}")

@@ -11,11 +11,20 @@ from numpy.typing import NDArray
 
 from armcell.collision import ExactChecker
 from armcell.core import SE3, JointState, PlanResult
-from armcell.grasping import Grasp, grasp_candidates, hand_of, rejection_sort_key, surface_coverage, why_none
+from armcell.grasping import (
+    Grasp,
+    grasp_candidates,
+    hand_of,
+    openings,
+    rejection_sort_key,
+    surface_coverage,
+    why_none,
+)
 from armcell.kinematics import IKSolver, ik_solver
 from armcell.model import Gripper
 from armcell.planning import synchronized_profile
 from armcell.scene import CollisionObject, PlanningScene
+from armcell.tasks.approach import Approach
 from armcell.tasks.grasp_proof import GraspProof, distinct_grasps, prove_grasps
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
@@ -26,7 +35,6 @@ from armcell.tasks.steps import (
     CommandGripper,
     ConfirmGrasp,
     ExpectContact,
-    Motion,
     WatchObject,
 )
 from armcell.tasks.task import holding_condition
@@ -135,8 +143,9 @@ class ChooseGrasp:
     def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         item, s = solution.scene.object(self.object), planning.settings
         hand = hand_of(solution.scene.model, self.gripper)
-        grasps, rejected = grasp_candidates(item, hand)
-        none = "" if grasps else why_none(rejected, surface_coverage(item, hand))
+        grasps, rejected = grasp_candidates(item, hand, pose_error=s.pose_error)
+        covered = partial(surface_coverage, item, hand, pose_error=s.pose_error)
+        none = "" if grasps else why_none(rejected, covered())
         grasps = [g for g in grasps if g.name not in self.excluded]
         if self.among:
             grasps, rejected = [g for g in grasps if g.name in self.among], []
@@ -146,7 +155,7 @@ class ChooseGrasp:
         if has_few_joints(solution.scene.model, self.gripper):
             near = grasps_in_reach(
                 solution.scene, self.gripper, item, grasps[: s.max_candidates * self.wider],
-                s.max_candidates, partial(planning.reject, self.name),
+                s.max_candidates, partial(planning.reject, self.name), s.pose_error,
             )  # fmt: skip
             grasps = [g for g in near if g.name not in self.excluded]
         proofs: dict[str, GraspProof] = {}
@@ -192,14 +201,16 @@ class ChooseGrasp:
         worth: dict[str, float] = {}
         reached = []
         for grasp in distinct_grasps(grasps, 3 * s.prove_grasps):
-            opened = solution.scene.with_state(finger_state(gripper, grasp.opening))
-            scene = opened.with_allowed(self.object, gripper.hand_links)
-            T_world_tcp = item.T_world_object @ grasp.T_object_tcp
-            arms = list(reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name))
-            if arms:
-                seconds = min(_seconds(scene, arm) / self.speed.velocity for arm in arms)
-                worth[grasp.name] = len(arms) / SOLUTIONS_PER_POSE / (SECONDS_BESIDES + seconds)
-                reached.append(grasp)
+            for opened in openings(grasp, gripper):
+                fingers = solution.scene.with_state(finger_state(gripper, opened.opening))
+                scene = fingers.with_allowed(self.object, gripper.hand_links)
+                T_world_tcp = item.T_world_object @ opened.T_object_tcp
+                arms = list(reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name))
+                if arms:
+                    seconds = min(_seconds(scene, arm) / self.speed.velocity for arm in arms)
+                    worth[grasp.name] = len(arms) / SOLUTIONS_PER_POSE / (SECONDS_BESIDES + seconds)
+                    reached.append(opened)
+                    break
             if len(reached) == s.prove_grasps:
                 break
         proofs = {p.grasp.name: p for p in prove_grasps(model, gripper, item, reached, s.proof_trials)}
@@ -213,8 +224,13 @@ class ChooseGrasp:
             over = partial(self._backward, at_grasp, T_world_tcp)
             return plan_within_reach(over, self.distance, planning.settings.least_approach, True)
 
-        for found in approaches(solution, planning, self.name, self.object, self.gripper, grasp, back):
-            yield found.then(proof=proof)
+        for opened in openings(grasp, self.gripper):
+            fits = False
+            for found in approaches(solution, planning, self.name, self.object, self.gripper, opened, back):
+                fits = True
+                yield found.then(proof=proof)
+            if fits:
+                return
 
     def _backward(self, at_grasp: PlanningScene, T_world_tcp: SE3, distance: float) -> PlanResult:
         back = shifted(T_world_tcp, (0.0, 0.0, -distance), in_own_frame=True)
@@ -254,7 +270,7 @@ def approaches(
             grasp=grasp,
             candidate=grasp.name,
             pre_grasp=approach.positions[0],
-            approach=Motion(
+            approach=Approach(
                 "approach",
                 approach,
                 "cartesian",
@@ -262,6 +278,9 @@ def approaches(
                 result.min_clearance,
                 scene,
                 {"planned": "backwards", **result.evidence},
+                object=item,
+                gripper=gripper,
+                grasp=grasp,
             ),
             after_approach=at_grasp,
         )
@@ -314,7 +333,7 @@ class Close:
         scene = scene.with_attached(self.object, self.gripper.tcp_link, self.gripper.hand_links)
         yield solution.then(
             CommandGripper("close", self.gripper, 0.0, grasp.force, self.settle),
-            ConfirmGrasp(self.object, self.gripper),
+            ConfirmGrasp(self.object, self.gripper, grasp.width),
             WatchObject(self.object, self.supports),
             scene=scene,
         )
