@@ -120,10 +120,11 @@ bench-dual: $(VENV)/.stamp ## set up, then measure two UR10: planning, proofs, t
 	$(BIN)/armcell bench dual
 	$(PY) -m benchmarks.two_arms --runs $(or $(RUNS),100)
 
-bench-grasp: $(VENV)/.stamp ## set up, then pick 67 objects in 3 poses with two robots, compare solid regions, measure creep and drift (RUNS=10, POSES=3, hours)
+bench-grasp: $(VENV)/.stamp ## set up, then pick 67 objects in 3 poses with two robots, compare solid regions, look for the objects, measure creep and drift (RUNS=10, POSES=3, hours)
 	$(PY) -m benchmarks.grasping --poses $(or $(POSES),3); grasped=$$?; \
 	$(PY) -m benchmarks.solid_regions; solid=$$?; \
-	$(PY) -m benchmarks.holding --runs $(or $(RUNS),10) && exit $$((grasped | solid))
+	$(PY) -m benchmarks.mesh_poses; seen=$$?; \
+	$(PY) -m benchmarks.holding --runs $(or $(RUNS),10) && exit $$((grasped | solid | seen))
 
 clean: ## remove the environment, builds and caches (runs/ stays)
 	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -1,7 +1,7 @@
 """What the perception of docs/perception.md measures: `python -m benchmarks.perception [--scenes 50]`.
 
 Poses of random primitives in 320 x 240 depth images against the simulator's truth, processor time of a look,
-of a picture into the map, and marker poses.
+of a picture into the map, and marker poses. Poses of known meshes: `benchmarks.mesh_poses`.
 """
 
 from __future__ import annotations

@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from tests.perception.scenes import random_scene
+from tests.perception.test_mesh_poses import ABOVE, BACK, notched
+from tests.perception.test_mesh_poses import seen as images_of
 
+from armcell.core import SE3
 from armcell.perception import draw_detections, look
 from armcell.sim import DepthNoise, take_image
 
@@ -27,5 +30,19 @@ def seen() -> None:
     )
 
 
+def ambiguous() -> None:
+    """A block with a notch under one end: from above (left), and with a second camera (right)."""
+    T = SE3.from_xyz(0.6, 0, 0)
+    item, scene, images = images_of(notched(), T, ABOVE, BACK)
+    blind = (item.at(SE3.identity()),)
+    one, two = look(images[:1], scene, blind), look(images, scene, blind)
+    near = np.s_[60:180, 80:240]  # the block is small in the image
+    both = np.hstack([draw_detections(images[0], one)[near], draw_detections(images[1], two)[near]])
+    Image.fromarray(both).resize((1280, 480), Image.Resampling.LANCZOS).save(
+        HERE / "perception_ambiguous.png", optimize=True
+    )
+
+
 if __name__ == "__main__":
     seen()
+    ambiguous()

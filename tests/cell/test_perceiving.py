@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
+from tests.perception.test_mesh_poses import notched
 from tests.sizes import seeds
 
 from armcell.cell import load, run_task
@@ -78,3 +80,34 @@ def test_wrong_entries_are_named(tmp_path, lines, text):
     )
     with pytest.raises(InputError, match=text):
         load(tmp_path)
+
+
+AMBIGUOUS = """
+robot: panda
+objects:
+  table: {box: [0.8, 0.8, 0.04], pose: [0.6, 0, -0.02]}
+  thing: {mesh: thing.stl, pose: [0.6, 0, 0.001], movable: true}
+cameras:
+  above: {eye: [0.6, 0.01, 0.6], target: [0.6, 0, 0.03], width: 320, height: 240, noise: stereo}
+  back: {eye: [0.95, 0, 0.4], target: [0.6, 0, 0.03], width: 320, height: 240, noise: stereo}
+perception: {camera: above, objects: [thing], surface: table}
+task: [{look: [above, back]}]
+"""
+
+
+@pytest.mark.slow
+def test_an_object_of_ambiguous_pose_is_not_in_the_scene_until_a_second_camera_sees_it(tmp_path):
+    mesh = notched()
+    trimesh.Trimesh(mesh.vertices, mesh.faces).export(tmp_path / "thing.stl")
+    (tmp_path / "cell.yaml").write_text(AMBIGUOUS)
+    cell = load(tmp_path)
+    with cell.connect(seed=0) as live:
+        assert live.look(["above", "back"]).ok
+        assert "thing" in live.scene().objects
+        sight = live.look("above")
+        assert "ambiguous" in sight.message
+        assert "thing" not in live.scene().objects
+        with pytest.raises(InputError, match="unknown object 'thing'"):
+            live.arm.pick("thing")
+        result = run_task(cell, live, 0, "sim")
+        assert result["success"], result["message"]

@@ -255,8 +255,9 @@ class Cell:
                     must = "fixed" if name == spec.drop.into else "movable"
                     raise self._fail("drop", f"object {name!r} must be {must}")
         for i, step in enumerate(spec.task):
-            if step.camera is not None and step.camera not in spec.cameras:
-                raise UnknownNameError("camera", step.camera, spec.cameras, file=where, element=f"task/{i}")
+            for camera in step.cameras:
+                if camera not in spec.cameras:
+                    raise UnknownNameError("camera", camera, spec.cameras, file=where, element=f"task/{i}")
             names = [step.pick] if step.pick else [step.goal.object, step.goal.on] if step.goal else []
             for name in names:
                 if name not in spec.objects:

@@ -62,7 +62,7 @@ def content_hashes(cell: Cell) -> dict[str, str]:
         "code": code_hash(),
         **{f"versions.{name}": version for name, version in versions().items()},
     }
-    by_task = any(step.camera for step in cell.spec.task)
+    by_task = any(step.cameras for step in cell.spec.task)
     # a script may use cameras
     looked_at = by_task or cell.spec.perception is not None or cell.spec.script is not None
     passed_over = {"description", "script", "controllers", *(() if looked_at else ("cameras", "markers"))}

@@ -431,17 +431,20 @@ class LiveCell:
             raise UnknownNameError("camera", name, self.cameras)
         return self.cameras[name]
 
-    def look(self, camera: str | None = None, settings: LookSettings | None = None) -> DetectionResult:
-        """Detect the movable objects with a camera of the live cell and update the planning scene.
+    def look(
+        self, camera: str | Sequence[str] | None = None, settings: LookSettings | None = None
+    ) -> DetectionResult:
+        """Detect the movable objects with cameras of the live cell and update the planning scene.
 
         Objects whose poses come only from cameras are set to their detected poses. If an object is not found,
-        the outcome states the reason.
+        or its pose is ambiguous, the outcome states the reason, and the object is not in the scene.
 
         Args:
+            camera: one camera, or several that look at the same objects from different sides.
             settings: default: the `perception` settings of the cell file.
         """
-        eye = self.camera(camera)
-        return look_with(eye, self.ctx, self.seen, settings)
+        names = (camera,) if camera is None or isinstance(camera, str) else camera
+        return look_with([self.camera(name) for name in names], self.ctx, self.seen, settings)
 
     def clear(
         self, bin: str, into: str, table: str, camera: str, tray_camera: str,

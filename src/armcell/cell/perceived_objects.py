@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -140,10 +140,13 @@ class PerceivingDriver(DriverProxy):
 
 
 def look_with(
-    camera: LiveCamera, ctx: TaskContext, seen: DetectedPoses | None, settings: LookSettings | None
-) -> DetectionResult:
-    """Detect objects with a camera and update the planning scene with the perceived poses. Held objects are
+    cameras: Sequence[LiveCamera], ctx: TaskContext, seen: DetectedPoses | None,
+    settings: LookSettings | None,
+) -> DetectionResult:  # fmt: skip
+    """Detect objects with cameras and update the planning scene with the perceived poses. Held objects are
     skipped.
+
+    An object whose pose is ambiguous is removed from the scene, so that no task picks it at a wrong pose.
     """
     scene = ctx.scene()
     settings = settings or LookSettings(surface=seen.surface if seen is not None else None)
@@ -151,10 +154,13 @@ def look_with(
     if seen is not None and seen.unknown:
         known = seen.unknown
     wanted = tuple(o for n, o in known.items() if n not in scene.attached)
-    report = StageReport(f"look with {camera.name}", started_s=ctx.driver.now)
+    names = ", ".join(camera.name for camera in cameras)
+    report = StageReport(f"look with {names}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
-    sight = look(camera.take(ctx.advance), scene, wanted, settings, ctx.driver.now)
-    report.ok = not sight.missing and sight.plane is not None  # without a plane, no detection
+    images = [camera.take(ctx.advance) for camera in cameras]
+    sight = look(images, scene, wanted, settings, ctx.driver.now)
+    # without a plane, no detection
+    report.ok = not (sight.missing or sight.doubtful) and sight.plane is not None
     report.error = "" if report.ok else sight.message
     report.planning_time_s = sight.cpu_time
     ctx.reports.append(report)
@@ -162,6 +168,8 @@ def look_with(
         for item in sight.objects:
             if item.known and item.name in seen.known and item.T_world_object is not None:
                 seen.poses[item.name] = item.T_world_object
-        ctx.change_scene(seen.put_into)
+        for name in sight.doubtful:
+            seen.poses.pop(name, None)
+        ctx.change_scene(lambda now: seen.taken_from(seen.put_into(now)))
     ctx.emit("stage", report.name, phase="end")
     return sight

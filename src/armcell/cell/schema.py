@@ -306,6 +306,10 @@ class DropSpec(Strict):
     objects: list[str] = Field(min_length=1)
 
 
+Cameras = str | Annotated[list[str], Field(min_length=1)]
+"""One camera, or several that look at the same objects from different sides."""
+
+
 class PlaceSpec(Strict):
     object: str
     on: str
@@ -314,7 +318,7 @@ class PlaceSpec(Strict):
 
 
 class TransferSpec(PlaceSpec):
-    look: str | None = None  # camera that detects the object before every pick
+    look: Cameras | None = None  # cameras that detect the object before every pick
 
 
 class StepSpec(Strict):
@@ -326,7 +330,7 @@ class StepSpec(Strict):
     transfer: TransferSpec | None = None  # pick and place with recovery
     hold: float | None = Field(None, ge=0)  # [s]
     move: str | None = None  # named state; several arms move one after the other
-    look: str | None = None  # camera
+    look: Cameras | None = None
     stage: dict[str, dict[str, Any]] | None = Field(None, min_length=1, max_length=1)  # name -> its values
 
     @model_validator(mode="after")
@@ -345,9 +349,10 @@ class StepSpec(Strict):
         return self.place or self.transfer
 
     @property
-    def camera(self) -> str | None:
-        """Return the camera named in a task step of the cell file, or None if the step uses no camera."""
-        return self.transfer.look if self.transfer else self.look
+    def cameras(self) -> list[str]:
+        """Return the cameras named in a task step of the cell file."""
+        named = self.transfer.look if self.transfer else self.look
+        return [named] if isinstance(named, str) else list(named or [])
 
 
 class PushSpec(Strict):

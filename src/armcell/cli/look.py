@@ -181,7 +181,9 @@ def _object(item: Any, truth: dict[str, SE3]) -> dict[str, Any]:
         "name": item.name, "kind": item.kind if item.shapes else "", "known": item.known, "ok": item.ok,
         "message": item.message, "pixels": len(item.points), "rms_m": _number(item.rms), "cost": item.cost,
         "occluded": item.occluded, "position": None, "rpy": None, "size": None,
-        "off_m": None, "off_rad": None,
+        "off_m": None, "off_rad": None, "symmetric": item.symmetric,
+        "alternatives": [{"position": o.translation.tolist(), "rpy": o.rotation.rpy.tolist()}
+                         for o in item.alternatives],
     }  # fmt: skip
     if T is not None:
         row["position"], row["rpy"] = T.translation.tolist(), T.rotation.rpy.tolist()

@@ -15,6 +15,7 @@ from armcell.perception.solids import surface_mesh
 F64 = NDArray[np.float64]
 _SHARP = np.deg2rad(25.0)  # [rad] minimum angle between the faces of a sharp edge
 _KNOWN, _GUESSED, _MARKER = (40, 200, 60), (255, 150, 20), (230, 60, 220)
+_DOUBTFUL = (235, 60, 60)
 _AXES = ((235, 50, 50), (50, 190, 50), (60, 90, 250))
 
 
@@ -23,7 +24,8 @@ def draw_detections(
 ) -> NDArray[np.uint8]:
     """Return the image (h, w, 3) with the perceived objects and markers drawn over it.
 
-    Objects of the scene are green, fitted boxes, cylinders and spheres orange. Without color, the image shows
+    Objects of the scene are green, fitted boxes, cylinders and spheres orange, and ambiguous objects red, in
+    all their poses. Without color, the image shows
     the depth (near is bright).
     """
     from PIL import Image, ImageDraw
@@ -36,10 +38,11 @@ def draw_detections(
             middle = T_camera_world.apply(item.points.mean(axis=0))
             _text(pen, image.pinhole, middle, item.name, (255, 60, 60))
             continue
-        color = _KNOWN if item.known else _GUESSED
+        color = _DOUBTFUL if not item.ok else _KNOWN if item.known else _GUESSED
         T = T_camera_world @ item.T_world_object
-        for line in _edges(item.shapes):
-            _line(pen, image.pinhole, T.apply(line), color)
+        for pose in (T, *(T_camera_world @ other for other in item.alternatives)):
+            for line in _edges(item.shapes):
+                _line(pen, image.pinhole, pose.apply(line), color)
         _axes(pen, image.pinhole, T, 0.03)
         _text(pen, image.pinhole, T.translation, item.name, color)
     for marker in markers:

@@ -14,7 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, Box, Cylinder, Shape, Sphere
+from armcell.perception import mesh_pose
 from armcell.perception import solid_fit as F
+from armcell.perception.depth_render import DepthEvidence
+from armcell.perception.mesh_pose import Candidate, known_mesh
 from armcell.perception.primitives import POINTS, RAYS, footprint
 from armcell.perception.solid_fit import CameraEvidence, cost_at, fit_solid
 from armcell.perception.solids import Solid, solid_of, surface_mesh
@@ -25,6 +28,9 @@ _STARTS_POINTS, _STARTS_RAYS = 100, 60
 _TRIED = 5  # number of refined start poses
 _QUARTER = 4  # yaw steps per quarter turn for objects that are not primitives
 _GOOD = 0.08  # cost below which no tilted pose is tried
+_SURE, _FEWEST = 4.0, 8.0
+"""A pose is significantly worse if its loss is larger by so many standard errors and by so many pixels."""
+_CLOSE = 0.89  # error of a pixel whose depth differs by two scales
 _TILTED = 0.7  # maximum cost of a tilted fit, relative to the resting fit
 
 
@@ -35,6 +41,8 @@ class Match:
     T: SE3
     cost: float
     rms: float  # [m]
+    alternatives: tuple[SE3, ...] = ()  # other poses that explain the images about as well
+    candidates: tuple[Candidate, ...] = ()  # poses to refine
 
 
 @lru_cache(maxsize=1)
@@ -129,6 +137,68 @@ def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
     return vertices[ConvexHull(vertices).vertices]
 
 
+# --- meshes ---
+def is_primitive(shapes: tuple[tuple[Shape, SE3], ...]) -> bool:
+    """Return whether an object is one box, cylinder or sphere, whose symmetry is known."""
+    return len(shapes) == 1 and isinstance(shapes[0][0], Box | Cylinder | Sphere)
+
+
+def rough_mesh_match(
+    e: DepthEvidence, points: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], span: float
+) -> Match | None:
+    """Search poses of a known mesh on coarse evidence. The result is None if its size does not match.
+
+    Args:
+        span: [m] largest extent of the cluster.
+    """
+    mesh = known_mesh(shapes)
+    if span > mesh.diameter + 4 * e.scale:
+        return None
+    found = mesh_pose.search(e, points, mesh)
+    errors, near = mesh_pose.pixel_errors(e, mesh, found[0].T)
+    return Match(found[0].T, _mean_loss(errors, near), np.inf, candidates=tuple(found))
+
+
+def match_mesh(e: DepthEvidence, shapes: tuple[tuple[Shape, SE3], ...], start: Match, prior: SE3) -> Match:
+    """Refine the pose of a known mesh, and find the other poses that explain the images about as well.
+
+    Args:
+        prior: pose in the frame of the support; of equal poses of a symmetric mesh, the nearest one is
+            returned.
+    """
+    mesh = known_mesh(shapes)
+    found = mesh_pose.settle(e, mesh, list(start.candidates))
+    errors, near = mesh_pose.pixel_errors(e, mesh, found[0].T)
+    others = []
+    for other in found[1:]:
+        if not _surely_worse(mesh_pose.pixel_errors(e, mesh, other.T)[0], errors):
+            others.append(other.T)
+    best = found[0].T
+    equal = closest_equivalent(shapes, best, prior)
+    if equal.distance_to(best)[1] > 1e-3:  # a scanned mesh is symmetric only within the tolerance
+        equal = mesh_pose.refit(e, mesh, equal)
+        again, shown = mesh_pose.pixel_errors(e, mesh, equal)
+        if not _surely_worse(again, errors):
+            best, errors, near = equal, again, shown
+    close = np.abs(errors[near]) < _CLOSE
+    r2 = errors[near][close] ** 2
+    rms = float(e.scale * np.sqrt(np.mean(r2 / (1 - r2)))) if len(r2) else np.inf
+    return Match(best, _mean_loss(errors, near), rms, tuple(others))
+
+
+def _surely_worse(errors: F64, than: F64) -> bool:
+    """Return whether a pose with the given errors of pixels explains the images significantly worse.
+
+    Each pixel is one observation of the difference of both losses.
+    """
+    more = errors**2 - than**2
+    return bool(more.sum() > max(_SURE * np.sqrt((more**2).sum()), _FEWEST))
+
+
+def _mean_loss(errors: F64, near: NDArray[np.bool_]) -> float:
+    return float(np.mean(errors[near] ** 2)) if near.any() else 1.0
+
+
 # --- symmetry ---
 def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
     """Return the pose nearest to `prior` among all poses in which a known, symmetric object looks the same as
@@ -136,10 +206,13 @@ def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3
 
     Two poses are equivalent if the object looks the same in both of them because it is symmetric.
 
-    Considers single spheres, cylinders and boxes; other objects are treated as asymmetric.
+    The symmetry of boxes, cylinders and spheres is exact; that of meshes holds for the tolerance of matching.
     """
-    if len(shapes) != 1:
-        return T
+    if not is_primitive(shapes):
+        return min(
+            (T @ S for S in known_mesh(shapes).symmetries),
+            key=lambda one: _angle(one.rotation, prior.rotation),
+        )
     shape, T_object_shape = shapes[0]
     wanted, here = prior @ T_object_shape, T @ T_object_shape
     match shape:
@@ -168,6 +241,11 @@ def _spun(here: SO3, wanted: SO3) -> SO3:
     if axis @ wanted.matrix[:, 2] < 0:
         axis = -axis
     return SO3.between(wanted.matrix[:, 2], axis) @ wanted
+
+
+def is_symmetric(shapes: tuple[tuple[Shape, SE3], ...]) -> bool:
+    """Return whether a known object looks the same in several poses."""
+    return is_primitive(shapes) or len(known_mesh(shapes).symmetries) > 1
 
 
 def pose_error(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, T_true: SE3) -> tuple[float, float]:

@@ -30,15 +30,27 @@ from armcell.core.checks import checked
 from armcell.core.geometry import local_bounds
 from armcell.perception.cloud import SupportPlane, check_image, clusters, find_plane, organized_cloud
 from armcell.perception.colors import color_distance
-from armcell.perception.known_object_pose import Match, closest_equivalent, match_known, rough_match
+from armcell.perception.depth_render import FREE, OTHER, OWN, DepthEvidence, cut_out, joined
+from armcell.perception.known_object_pose import (
+    Match,
+    closest_equivalent,
+    is_primitive,
+    is_symmetric,
+    match_known,
+    match_mesh,
+    rough_match,
+    rough_mesh_match,
+)
+from armcell.perception.mesh_pose import COARSE_PIXELS, FINE_PIXELS
 from armcell.perception.primitives import fit_primitives
 from armcell.perception.solid_fit import CameraEvidence
 from armcell.perception.solids import solid_of
 from armcell.scene import CollisionObject, PlanningScene
 
 F64 = NDArray[np.float64]
-_HOPELESS = 0.6  # maximum cost of a rough match that is refined
+_HOPELESS = 0.75  # maximum cost of a rough match that is refined
 _OTHER_COLOR = 0.1  # extra cost of a known object with another color, for equal shapes
+_MARGIN = 8  # [px] width of the surroundings of a cluster that are compared with a rendered mesh
 _JOINED = 0.5  # cost factor for ranking a match of two clusters, because it explains more points
 _MOST_JOINED = 12  # maximum number of clusters for which pairs are evaluated
 _RIVAL = 3.0  # maximum cost ratio to the best match of the same cluster or object
@@ -87,6 +99,10 @@ class DetectedObject(Outcome):
     occluded: float = 0.0  # fraction of the outline cut off by a nearer object or the border
     points: F64 = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) [m, world]
     color: tuple[float, float, float, float] = (0.6, 0.6, 0.6, 1.0)
+    symmetric: bool = (
+        False  # a known object that looks the same in several poses; the one nearest to the scene's
+    )
+    alternatives: tuple[SE3, ...] = ()  # other poses T_world_object that explain the images about as well
 
     @property
     def kind(self) -> str:
@@ -116,6 +132,11 @@ class DetectionResult(Outcome):
     time: float = 0.0  # [s] time of the image
     cpu_time: float = 0.0  # [s] CPU time of the look
 
+    @property
+    def doubtful(self) -> tuple[str, ...]:
+        """Return the names of the known objects whose poses must not be used, such as ambiguous ones."""
+        return tuple(item.name for item in self.objects if item.known and not item.ok)
+
     def __getitem__(self, name: str) -> DetectedObject:
         for item in self.objects:
             if item.name == name:
@@ -124,7 +145,7 @@ class DetectionResult(Outcome):
 
 
 def look(
-    image: CameraImage,
+    image: CameraImage | Sequence[CameraImage],
     scene: PlanningScene | None = None,
     known: Sequence[CollisionObject] = (),
     settings: LookSettings = LookSettings(),
@@ -141,21 +162,23 @@ def look(
         UNABLE_TO_AQUIRE_SENSOR_DATA without usable depth, SENSOR_INFO_STALE for an old image.
     """
     started = time.thread_time()
+    images = (image,) if isinstance(image, CameraImage) else tuple(image)
+    if not images:
+        raise InputError("look needs an image", hint="give one image, or one of each camera")
 
     def ended(sight: DetectionResult) -> DetectionResult:
-        return replace(sight, time=image.time, cpu_time=time.thread_time() - started)
+        at = max(each.time for each in images)
+        return replace(sight, time=at, cpu_time=time.thread_time() - started)
 
-    trouble = check_image(image, settings.max_age, now)
-    if trouble is not None:
-        return ended(DetectionResult(trouble.code, trouble.message, trouble.evidence, missing=_names(known)))
-    assert image.depth is not None
-    seen = organized_cloud(image.depth, image.pinhole)
-    T = image.T_world_camera
-    flat = seen.reshape(-1, 3) @ T.rotation.matrix.T + T.translation
-    points = flat.reshape(seen.shape)
-    valid = np.isfinite(flat[:, 0])
-    others, region = _without(flat, valid, scene, settings)
-    plane = _plane(flat[others & region], settings)
+    views = []
+    for each in images:
+        trouble = check_image(each, settings.max_age, now)
+        if trouble is not None:
+            return ended(
+                DetectionResult(trouble.code, trouble.message, trouble.evidence, missing=_names(known))
+            )
+        views.append(_View.of(each, scene, settings))
+    plane = _plane(np.concatenate([v.flat[v.others & v.region] for v in views]), settings)
     if plane is None:
         reason = "no level plane is seen that things could stand on"
         if settings.surface is not None:
@@ -166,24 +189,94 @@ def look(
                 missing=_names(known),
             )
         )  # fmt: skip
-    height = np.where(valid, plane.heights(np.where(valid[:, None], flat, 0.0)), 0.0)
-    least = max(settings.least_height, 3 * plane.rms)
-    wanted = others & region & (height > least) & (height < settings.most_height)
-    found = clusters(points, wanted.reshape(points.shape[:2]), settings.gap, settings.smallest)
+    found = _clusters(views, plane, settings)
     scale = max(0.003, 2.5 * plane.rms)
+    kinds = [view.kinds(plane, settings) for view in views]
 
-    def thing(pixels: NDArray[np.int64]) -> _ObjectCluster:
-        return _ObjectCluster.of(pixels, points, T.translation, plane, scale, settings, image)
+    def thing(*parts: _Pixels) -> _ObjectCluster:
+        together = tuple(np.concatenate(each) for each in zip(*parts, strict=True))
+        return _ObjectCluster.of(together, views, kinds, plane, scale, settings)
 
     parts = {frozenset({i}): thing(pixels) for i, pixels in enumerate(found)}
     if known and len(found) <= _MOST_JOINED:
         reach = max(solid_of(item.shapes).diameter for item in known)
         for i, k in combinations(range(len(found)), 2):
-            if _span(points, np.concatenate([found[i], found[k]])) <= reach + 4 * scale:
-                parts[frozenset({i, k})] = thing(np.concatenate([found[i], found[k]]))
-    objects = _named(parts, known, settings, image.rgb is not None)
+            both = np.concatenate([parts[frozenset({n})].points for n in (i, k)])
+            if _span(both) <= reach + 4 * scale:
+                parts[frozenset({i, k})] = thing(found[i], found[k])
+    objects = _named(parts, known, settings, any(each.rgb is not None for each in images))
     missing = tuple(n for n in _names(known) if n not in {o.name for o in objects})
     return ended(_summary(objects, missing, plane))
+
+
+_Pixels = tuple[NDArray[np.int64], ...]
+"""Pixel indices of one cluster, in each image."""
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """Image of one camera as points in the world, with masks of the points that `look` uses."""
+
+    image: CameraImage
+    flat: F64  # (h * w, 3) [m, world]; NaN without depth
+    valid: NDArray[np.bool_]  # (h * w,)
+    others: NDArray[np.bool_]  # not on the robot or a fixed object
+    region: NDArray[np.bool_]  # above the support surface
+
+    @staticmethod
+    def of(image: CameraImage, scene: PlanningScene | None, settings: LookSettings) -> _View:
+        assert image.depth is not None
+        T = image.T_world_camera
+        seen = organized_cloud(image.depth, image.pinhole)
+        flat = seen.reshape(-1, 3) @ T.rotation.matrix.T + T.translation
+        valid = np.isfinite(flat[:, 0])
+        return _View(image, flat, valid, *_without(flat, valid, scene, settings))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.image.pinhole.height, self.image.pinhole.width
+
+    def things(self, plane: SupportPlane, settings: LookSettings) -> NDArray[np.bool_]:
+        """Return the mask (h * w,) of the points above the support plane."""
+        height = np.where(self.valid, plane.heights(np.where(self.valid[:, None], self.flat, 0.0)), 0.0)
+        least = max(settings.least_height, 3 * plane.rms)
+        return self.others & self.region & (height > least) & (height < settings.most_height)
+
+    def kinds(self, plane: SupportPlane, settings: LookSettings) -> NDArray[np.uint8]:
+        """Return the kind (h * w,) of each pixel for a cluster that has no pixel of its own."""
+        hides = self.valid & (~self.others | self.things(plane, settings))
+        return np.where(hides, OTHER, FREE).astype(np.uint8)
+
+
+def _clusters(views: list[_View], plane: SupportPlane, settings: LookSettings) -> list[_Pixels]:
+    """Segment the points above the support plane. Clusters of different cameras whose points are close to
+    each other are one.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    each = []
+    for k, view in enumerate(views):
+        wanted = view.things(plane, settings).reshape(view.size)
+        points = view.flat.reshape(*view.size, 3)
+        each += [(k, pixels) for pixels in clusters(points, wanted, settings.gap, settings.smallest)]
+    near = np.zeros((len(each), len(each)), bool)
+    if len(views) > 1:
+        trees = [KDTree(views[k].flat[pixels]) for k, pixels in each]
+        for a, b in combinations(range(len(each)), 2):
+            if each[a][0] != each[b][0]:
+                far, _ = trees[a].query(trees[b].data, distance_upper_bound=settings.gap)
+                near[a, b] = np.isfinite(far).any()
+    count, label = connected_components(coo_array(near), directed=False)
+    found = []
+    for n in range(count):
+        members = [each[i] for i in np.flatnonzero(label == n)]
+        found.append(tuple(
+            np.concatenate([np.zeros(0, np.int64), *(pixels for k, pixels in members if k == view)])
+            for view in range(len(views))
+        ))  # fmt: skip
+    return sorted(found, key=lambda pixels: -sum(len(p) for p in pixels))
 
 
 def _names(known: Sequence[CollisionObject]) -> tuple[str, ...]:
@@ -265,25 +358,56 @@ class _ObjectCluster:
     points: F64  # (n, 3) world
     occluded: float
     color: tuple[float, float, float, float]
+    depths: tuple[DepthEvidence, DepthEvidence]  # coarse and fine
 
     @staticmethod
     def of(
-        pixels: NDArray[np.int64], points: F64, eye: F64, plane: SupportPlane, scale: float,
-        settings: LookSettings, image: CameraImage,
+        pixels: _Pixels, views: list[_View], kinds: list[NDArray[np.uint8]], plane: SupportPlane,
+        scale: float, settings: LookSettings,
     ) -> _ObjectCluster:  # fmt: skip
-        h, w = points.shape[:2]
-        own = points.reshape(-1, 3)[pixels]
-        T = plane.frame(own.mean(axis=0))
+        seen = [each for each in zip(views, pixels, kinds, strict=True) if len(each[1])]
+        points = np.concatenate([view.flat[own] for view, own, _ in seen])
+        T = plane.frame(points.mean(axis=0))
         inverse = T.inverse()
-        rays, free_to, cut = _beside(pixels, points, eye, settings.ring, 2 * scale, (h, w))
+        eyes, rays, free_to, cuts, coarse, fine, colors = [], [], [], [], [], [], []
+        for view, own, others in seen:
+            eye = view.image.T_world_camera.translation
+            beside, free, cut = _beside(
+                own, view.flat.reshape(*view.size, 3), eye, settings.ring, 2 * scale, view.size
+            )
+            eyes.append(np.tile(inverse.apply(eye), (len(beside), 1)))
+            rays.append(beside @ T.rotation.matrix)
+            free_to.append(free)
+            cuts.append(cut)
+            shown = others.copy()
+            shown[own] = OWN
+            assert view.image.depth is not None  # check_image
+            for kept, most in ((coarse, COARSE_PIXELS), (fine, FINE_PIXELS)):
+                kept.append(cut_out(
+                    view.image.depth, shown.reshape(view.size), view.image.pinhole,
+                    view.image.T_world_camera.inverse() @ T, scale, _MARGIN, most,
+                ))  # fmt: skip
+            if view.image.rgb is not None:
+                colors.append(view.image.rgb.reshape(-1, 3)[own])
         evidence = CameraEvidence(
-            inverse.apply(own), inverse.apply(eye), rays @ T.rotation.matrix, free_to, scale
+            inverse.apply(points), np.concatenate(eyes), np.concatenate(rays), np.concatenate(free_to), scale
         )
         color = (0.6, 0.6, 0.6, 1.0)
-        if image.rgb is not None:
-            r, g, b = np.median(image.rgb.reshape(-1, 3)[pixels], axis=0) / 255
+        if colors:
+            r, g, b = np.median(np.concatenate(colors), axis=0) / 255
             color = (float(r), float(g), float(b), 1.0)
-        return _ObjectCluster(T, evidence, own, cut, color)
+        return _ObjectCluster(T, evidence, points, min(cuts), color, (joined(coarse), joined(fine)))
+
+    def rough(self, item: CollisionObject) -> Match | None:
+        if is_primitive(item.shapes):
+            return rough_match(self.evidence, item.shapes)
+        return rough_mesh_match(self.depths[0], self.evidence, item.shapes, _span(self.points))
+
+    def match(self, item: CollisionObject, start: Match) -> Match:
+        if is_primitive(item.shapes):
+            return match_known(self.evidence, item.shapes, start)
+        prior = self.T_world_support.inverse() @ item.T_world_object
+        return match_mesh(self.depths[1], item.shapes, start, prior)
 
 
 def _beside(
@@ -314,11 +438,11 @@ def _beside(
     return away[around] / far[around][:, None], far[around] - margin, min(cut, 1.0)
 
 
-def _span(points: F64, pixels: NDArray[np.int64]) -> float:
+def _span(points: F64) -> float:
     """Return the largest distance [m] between any two points of a detected cluster,
     estimated from a subset of the points.
     """
-    some = points.reshape(-1, 3)[pixels[:: max(len(pixels) // 150, 1)]]
+    some = points[:: max(len(points) // 150, 1)]
     return float(np.linalg.norm(some[:, None] - some[None], axis=-1).max())
 
 
@@ -338,13 +462,13 @@ def _named(
         (part, k): match
         for part, thing in things.items()
         for k, item in enumerate(known)
-        if (match := rough_match(thing.evidence, item.shapes)) is not None and match.cost <= _HOPELESS
+        if (match := thing.rough(item)) is not None and match.cost <= _HOPELESS
     }
     offers = []
     for (part, k), start in rough.items():
         rivals = [match.cost for (other, which), match in rough.items() if other == part or which == k]
         if start.cost <= _RIVAL * min(rivals) + 0.02:
-            match = match_known(things[part].evidence, known[k].shapes, start)
+            match = things[part].match(known[k], start)
             if match.cost <= settings.most_cost:
                 rank = match.cost if len(part) == 1 else match.cost * _JOINED
                 if image_has_color:
@@ -367,10 +491,23 @@ def _named(
 
 
 def _recognized(thing: _ObjectCluster, item: CollisionObject, match: Match) -> DetectedObject:
-    T = closest_equivalent(item.shapes, thing.T_world_support @ match.T, item.T_world_object)
+    T = thing.T_world_support @ match.T
+    if is_primitive(item.shapes):
+        T = closest_equivalent(item.shapes, T, item.T_world_object)
+    others = tuple(thing.T_world_support @ other for other in match.alternatives)
+    doubt = ""
+    if others:
+        turns = ", ".join(f"{np.rad2deg(T.distance_to(other)[1]):.0f}" for other in others)
+        doubt = (
+            f"the pose of {item.name} is ambiguous: turned by {turns} deg, it explains the images about as "
+            "well (use a second camera, or look from a side that shows the difference)"
+        )
     return DetectedObject(
-        ErrorCode.SUCCESS, "", {}, name=item.name, known=True, shapes=item.shapes, T_world_object=T,
+        ErrorCode.FAILURE if doubt else ErrorCode.SUCCESS, doubt,
+        {"alternatives": [(o.translation.tolist(), o.quat_wxyz.tolist()) for o in others]} if others else {},
+        name=item.name, known=True, shapes=item.shapes, T_world_object=T,
         rms=match.rms, cost=match.cost, occluded=thing.occluded, points=thing.points, color=thing.color,
+        alternatives=others, symmetric=is_symmetric(item.shapes),
     )  # fmt: skip
 
 
@@ -406,5 +543,6 @@ def _summary(
         )
     if without:
         reasons.append(f"{', '.join(without)} without a pose")
+    reasons += [item.message for item in objects if item.known and not item.ok]
     code = ErrorCode.FAILURE if reasons else ErrorCode.SUCCESS
     return DetectionResult(code, "; ".join(reasons), {}, objects=objects, missing=missing, plane=plane)

@@ -33,11 +33,12 @@ class CameraEvidence(NamedTuple):
     """Camera evidence for fitting a solid to an object: points (n, 3) on the object,
     and rays that pass beside it. Kernels take it as one argument.
 
-    The rays start at `eye`, have unit directions `rays` (m, 3), and are free up to `free_to` (m,) [m].
+    The rays start at `eyes` (m, 3), have unit directions `rays` (m, 3), and are free up to `free_to` (m,)
+    [m].
     """
 
     points: F64
-    eye: F64  # (3,)
+    eyes: F64
     rays: F64
     free_to: F64
     scale: float  # [m] larger residuals have less and less weight
@@ -50,7 +51,7 @@ class CameraEvidence(NamedTuple):
         """
         i = _every(len(self.points), points)
         k = _every(len(self.rays), rays)
-        return CameraEvidence(self.points[i], self.eye, self.rays[k], self.free_to[k], self.scale)
+        return CameraEvidence(self.points[i], self.eyes[k], self.rays[k], self.free_to[k], self.scale)
 
 
 def _every(count: int, wanted: int) -> NDArray[np.int64]:
@@ -244,7 +245,7 @@ def _residuals(p, mode, base, e, solid, radius, out):
     for i in range(n):
         out[i] = _at(fitted, R, t, e.points[i, 0], e.points[i, 1], e.points[i, 2])
     for i in range(len(e.rays)):
-        out[n + i] = _depth_of_ray(fitted, R, t, e.eye, e.rays[i], e.free_to[i], reach, convex)
+        out[n + i] = _depth_of_ray(fitted, R, t, e.eyes[i], e.rays[i], e.free_to[i], reach, convex)
 
 
 @njit(cache=True)

@@ -1,0 +1,286 @@
+"""Pose estimation of known meshes by rendering: candidate poses are judged by all that the cameras see.
+
+Candidates rest on each stable side of the mesh, at every yaw. The best ones are refined with all six degrees
+of freedom, first on few triangles and pixels, then on all. A pose is ambiguous if another one, in which the
+mesh does not look the same, explains the images about as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3, Shape
+from armcell.model.assets import decimated
+from armcell.perception import depth_render as D
+from armcell.perception.depth_render import DepthEvidence
+from armcell.perception.solid_fit import FREE, CameraEvidence, cost_at, fit_solid
+from armcell.perception.solids import Solid, solid_of, surface_mesh
+from armcell.scene import solid_inertia
+from armcell.scene.resting import hull_rests, plane_axes
+
+F64 = NDArray[np.float64]
+Faces = NDArray[np.int32]
+
+COARSE_PIXELS, FINE_PIXELS = 2500, 8000
+"""Maximum numbers of pixels of each camera for the search and for the final comparison."""
+_COARSE_FACES, _FINE_FACES = 600, 6000
+_YAWS = 36
+_APART = np.deg2rad(10.0)  # [rad] resting sides that are closer are one start
+_MOST_SIDES = 40
+_MOST_SYMMETRIES = 60
+_DIRECTIONS = 120  # in which the outermost points of a mesh show its outline
+_SEARCHED, _REFINED = 12, 8  # candidates of each kind on the coarse evidence, and candidates on the fine one
+_NUDGE = np.deg2rad(15.0)  # [rad] rotation after which the evidence must pull the mesh back
+_SLIDE = 0.06  # shift along the longest axis of inertia, relative to the diameter, likewise
+_START_APART = 0.3  # [rad] angle between candidates of one kind
+_FEW, _SOME = (60, 0), (80, 20)  # points and rays that rank the starts, and that move them
+_HOPEFUL = 1.6  # maximum loss of candidates, relative to the best, that are refined on the fine evidence
+_PROMISING = 1.4  # the same ratio after a few iterations
+_SAMPLES, _SURFACE = 500, 40_000  # points with which two poses are compared, and points of the surface
+_SAME = 0.025  # distance between the surfaces in two equal poses, relative to the object's diameter
+_MOST_SAME = 0.0025  # [m] largest such distance
+_DIFFERENT = 0.015  # fraction of the surface that may be farther apart in equal poses, such as a can's tab
+
+
+@dataclass(frozen=True, eq=False)
+class KnownMesh:
+    """Surface of a known object, prepared for matching: triangles, resting sides, and samples."""
+
+    solid: Solid
+    coarse: tuple[F64, Faces]
+    fine: tuple[F64, Faces]
+    corners: F64  # (n, 3) outermost points
+    ups: F64  # (k, 3) upward directions on the resting sides
+    center: F64  # (3,) of the bounding box
+    middle: F64  # (3,) of the surface
+    axes: F64  # (3, 3) columns: axes of inertia of the surface
+    radius: float  # [m] rms distance of the surface from the center
+    diameter: float
+    samples: F64
+    tree: object  # scipy.spatial.KDTree of the surface
+
+    @cached_property
+    def symmetries(self) -> tuple[SE3, ...]:
+        """Return the rotations of the object after which it looks the same, the identity first.
+
+        They are products of rotations by multiples of 15 deg about the axes of the frame and of inertia.
+        """
+        middle, axes = self.middle, self.axes
+        group = [SO3.identity()]
+
+        def about(turn: SO3) -> SE3:
+            return SE3(turn, middle - turn.matrix @ middle)
+
+        def joins(turn: SO3) -> bool:
+            known = np.array([g.matrix for g in group])
+            if (np.einsum("kij,ij->k", known, turn.matrix) > 1 + 2 * np.cos(0.1)).any():
+                return False
+            if self.same(SE3.identity(), about(turn)):
+                group.append(turn)
+                return True
+            return False
+
+        turns = (SO3.exp(axis * k * np.pi / 12) for axis in (*np.eye(3), *axes.T) for k in range(1, 24))
+        new = [turn for turn in turns if joins(turn)]
+        while new and len(group) < _MOST_SYMMETRIES:  # a ball has no end of them
+            new = [c for c in (a @ b for a in new for b in tuple(group)[1:]) if joins(c)]
+        return tuple(about(turn) for turn in group)
+
+    def same(self, a: SE3, b: SE3) -> bool:
+        """Return whether the object looks the same in two poses: hardly any of the surface is far apart."""
+        limit = min(_SAME * self.diameter, _MOST_SAME)
+        there = (a.inverse() @ b).apply(self.samples)
+        return all(  # most pairs of poses already differ at the first few samples
+            np.mean(np.isinf(self.tree.query(some, distance_upper_bound=limit)[0])) <= share  # type: ignore[attr-defined]
+            for some, share in ((there[:30], 0.2), (there, _DIFFERENT))
+        )
+
+
+@lru_cache(maxsize=64)
+def known_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> KnownMesh:
+    """Prepare an object's surface for matching."""
+    import trimesh
+    from scipy.spatial import ConvexHull, KDTree
+
+    mesh = surface_mesh(shapes)
+    hull = mesh.vertices[ConvexHull(mesh.vertices).vertices]
+    mass, _ = solid_inertia(shapes, 1.0)
+    ups = np.zeros((0, 3))
+    for rest in hull_rests(mesh.vertices, mass):
+        if not len(ups) or (ups @ rest.up).max() < np.cos(_APART):
+            ups = np.vstack([ups, rest.up])
+    directions = np.vstack([_directions(_DIRECTIONS), -ups])
+    corners = hull[np.unique(np.argmax(hull @ directions.T, axis=0))]
+    tri = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    points = np.asarray(trimesh.sample.sample_surface(tri, _SURFACE, seed=0)[0])
+    center = (points.min(axis=0) + points.max(axis=0)) / 2
+    middle = points.mean(axis=0)
+    return KnownMesh(
+        solid=solid_of(shapes),
+        coarse=_few(mesh.vertices, mesh.faces, _COARSE_FACES),
+        fine=_few(mesh.vertices, mesh.faces, _FINE_FACES),
+        corners=corners,
+        ups=ups[:_MOST_SIDES],
+        center=center,
+        middle=middle,
+        axes=np.linalg.eigh(np.cov((points - middle).T))[1],
+        radius=float(np.sqrt(((points - center) ** 2).sum(axis=1).mean())),
+        diameter=float(np.linalg.norm(np.ptp(points, axis=0))),
+        samples=points[:: _SURFACE // _SAMPLES],
+        tree=KDTree(points),
+    )
+
+
+def _directions(count: int) -> F64:
+    """Return unit vectors (count, 3) spread evenly over the sphere (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    z, angle = 1 - 2 * k / count, k * np.pi * (3 - np.sqrt(5))
+    return np.column_stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z])
+
+
+def _few(vertices: F64, faces: Faces, most: int) -> tuple[F64, Faces]:
+    v, f = decimated(vertices, faces, most)
+    return np.ascontiguousarray(v), np.ascontiguousarray(f, dtype=np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Candidate pose of a mesh in the frame of its support, with its total loss on some evidence."""
+
+    T: SE3
+    loss: float
+
+
+def search(e: DepthEvidence, points: CameraEvidence, mesh: KnownMesh) -> list[Candidate]:
+    """Return candidate poses of a mesh, best first, from coarse evidence.
+
+    Half of the candidates are the starts with the lowest loss of rendered depth. The other half are the
+    starts nearest to the points, moved onto the points first: thin walls overlap their image only there.
+    """
+    Rs, ts = _starts(e, mesh)
+    starts = [SE3(SO3(R), t) for R, t in zip(Rs, ts, strict=True)]
+    few = points.thinned(*_FEW)
+    chosen = [starts[i] for i in _leading(D.losses(*mesh.coarse, Rs, ts, e), Rs)]
+    near = np.array([cost_at(few, mesh.solid, T) for T in starts])
+    some = points.thinned(*_SOME)
+    chosen += [fit_solid(some, mesh.solid, FREE, np.zeros(6), starts[i], 6).T for i in _leading(near, Rs)]
+    pixel = _pixel(e)
+    first = [_refined(e, mesh, mesh.coarse, T, pixel, 4) for T in chosen]
+    first.sort(key=lambda c: c.loss)
+    refined = [_refined(e, mesh, mesh.coarse, c.T, pixel, 4).T for c in first[:_SEARCHED]]
+    exact = D.losses(
+        *mesh.fine, np.array([T.rotation.matrix for T in refined]),
+        np.array([T.translation for T in refined]), e,
+    )  # fmt: skip
+    found = [Candidate(T, float(x)) for T, x in zip(refined, exact, strict=True)]
+    return _distinct(sorted(found, key=lambda c: c.loss), mesh)
+
+
+def _leading(found: F64, Rs: F64) -> list[int]:
+    """Return the numbers of the lowest values whose rotations differ."""
+    kept: list[int] = []
+    for i in np.argsort(found, kind="stable"):
+        turns = np.einsum("kij,ij->k", Rs[kept], Rs[i])
+        if not (turns > 1 + 2 * np.cos(_START_APART)).any():
+            kept.append(int(i))
+        if len(kept) >= _SEARCHED:
+            break
+    return kept
+
+
+def settle(e: DepthEvidence, mesh: KnownMesh, found: list[Candidate]) -> list[Candidate]:
+    """Refine candidates on fine evidence and return the distinct ones, best first.
+
+    Poses beside the best one are tried, too: if no camera sees the handle of a mug, the mug can be turned; if
+    the blade of a knife hardly stands out from the table, the knife may lie farther along its length.
+    """
+    hopeful = [c for c in found if c.loss <= _HOPEFUL * found[0].loss + 3.0]
+    settled = _settled(e, mesh, hopeful[:_REFINED])
+    best = settled[0].T
+    about = [SO3.exp(sign * _NUDGE * axis) for axis in mesh.axes.T for sign in (1, -1)]
+    moves = [SE3(turn, mesh.middle - turn.matrix @ mesh.middle) for turn in about]
+    moves += [SE3.from_xyz(*(sign * _SLIDE * mesh.diameter * mesh.axes[:, 2])) for sign in (1, -1)]
+    beside = (best @ move for move in moves)
+    nudged = [Candidate(T, settled[0].loss) for T in beside if not mesh.same(best, T)]
+    return _distinct(sorted(settled + _settled(e, mesh, nudged), key=lambda c: c.loss), mesh)
+
+
+def _settled(e: DepthEvidence, mesh: KnownMesh, found: list[Candidate]) -> list[Candidate]:
+    for iterations, share in ((3, _PROMISING), (6, np.inf)):  # most candidates are soon hopeless
+        found = [_refined(e, mesh, mesh.fine, c.T, _pixel(e), iterations) for c in found]
+        least = min((c.loss for c in found), default=0.0)
+        found = [c for c in found if c.loss <= share * least]
+    return _distinct(sorted(found, key=lambda c: c.loss), mesh)
+
+
+def refit(e: DepthEvidence, mesh: KnownMesh, T: SE3) -> SE3:
+    """Refine one pose on fine evidence."""
+    return _refined(e, mesh, mesh.fine, T, _pixel(e), 6).T
+
+
+def pixel_errors(e: DepthEvidence, mesh: KnownMesh, T: SE3) -> tuple[F64, NDArray[np.bool_]]:
+    """Return the signed error (n,) of each pixel and the pixels (n,) that show the cluster or the mesh."""
+    drawn, errors = np.empty(len(e.depth)), np.empty(len(e.depth))
+    D.loss(*mesh.fine, T.rotation.matrix, T.translation, e, drawn, errors)
+    return errors, ((drawn < e.floor) | (e.kinds == D.OWN)) & (e.depth > 0)
+
+
+def _refined(
+    e: DepthEvidence, mesh: KnownMesh, triangles: tuple[F64, Faces], T: SE3, pixel: float, iterations: int
+) -> Candidate:
+    R, t, loss = D.refine(
+        *triangles, mesh.center, mesh.radius, T.rotation.matrix, T.translation, e, pixel, iterations
+    )
+    u, _, v = np.linalg.svd(R)
+    return Candidate(SE3(SO3(u @ v), t), float(loss))
+
+
+def _distinct(found: list[Candidate], mesh: KnownMesh) -> list[Candidate]:
+    kept: list[Candidate] = []
+    for one in found:
+        if not any(mesh.same(other.T, one.T) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _pixel(e: DepthEvidence) -> float:
+    """Return the size [m] of a pixel at the object, the smallest one of all cameras."""
+    own = e.depth[(e.kinds == D.OWN) & (e.depth > 0)]
+    return float(np.median(own)) / float(e.cameras[:, 0].max())
+
+
+def _starts(e: DepthEvidence, mesh: KnownMesh) -> tuple[F64, F64]:
+    """Return start poses Rs (k, 3, 3), ts (k, 3): each resting side at each yaw, with the middle of the
+    object's outline in the first image at the middle of the cluster.
+    """
+    Rs = []
+    for up in mesh.ups:
+        x, y = plane_axes(up)
+        rests = np.stack([x, y, up])
+        for yaw in np.arange(_YAWS) * 2 * np.pi / _YAWS:
+            Rs.append(SO3.exp([0, 0, yaw]).matrix @ rests)
+    R = np.array(Rs)
+    turned = mesh.corners @ R.transpose(0, 2, 1)  # (k, n, 3)
+    ts = np.zeros((len(R), 3))
+    ts[:, 2] = -turned[:, :, 2].min(axis=1)
+    ts[:, :2] = -(turned[:, :, :2].min(axis=1) + turned[:, :, :2].max(axis=1)) / 2
+    _, h, w = e.sizes[0]
+    own = np.nonzero(e.kinds[: h * w].reshape(h, w) == D.OWN)
+    wanted = np.array([(own[1].min() + own[1].max()) / 2, (own[0].min() + own[0].max()) / 2])
+    c = e.cameras[0]
+    M, p = c[4:13].reshape(3, 3), c[13:]
+    for _ in range(3):
+        seen = (turned + ts[:, None]) @ M.T + p
+        uv = c[:2] * seen[..., :2] / seen[..., 2:] + c[2:4]
+        off = wanted - (uv.min(axis=1) + uv.max(axis=1)) / 2
+        # the outline's middle moves with the object in the plane
+        z = seen[..., 2].mean(axis=1)
+        at = seen.mean(axis=1)
+        # the Jacobian of its pixel, [k, 2, 2]
+        J = c[:2, None] * (M[:2, :2] - at[:, :2, None] / z[:, None, None] * M[2, :2]) / z[:, None, None]
+        ts[:, :2] += np.linalg.solve(J, off[:, :, None])[:, :, 0]
+    return R, ts
