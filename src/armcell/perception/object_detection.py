@@ -191,10 +191,11 @@ def look(
         )  # fmt: skip
     found = _clusters(views, plane, settings)
     scale = max(0.003, 2.5 * plane.rms)
+    kinds = [view.kinds(plane, settings) for view in views]
 
     def thing(*parts: _Pixels) -> _ObjectCluster:
         together = tuple(np.concatenate(each) for each in zip(*parts, strict=True))
-        return _ObjectCluster.of(together, views, plane, scale, settings)
+        return _ObjectCluster.of(together, views, kinds, plane, scale, settings)
 
     parts = {frozenset({i}): thing(pixels) for i, pixels in enumerate(found)}
     if known and len(found) <= _MOST_JOINED:
@@ -240,6 +241,11 @@ class _View:
         height = np.where(self.valid, plane.heights(np.where(self.valid[:, None], self.flat, 0.0)), 0.0)
         least = max(settings.least_height, 3 * plane.rms)
         return self.others & self.region & (height > least) & (height < settings.most_height)
+
+    def kinds(self, plane: SupportPlane, settings: LookSettings) -> NDArray[np.uint8]:
+        """Return the kind (h * w,) of each pixel for a cluster that has no pixel of its own."""
+        hides = self.valid & (~self.others | self.things(plane, settings))
+        return np.where(hides, OTHER, FREE).astype(np.uint8)
 
 
 def _clusters(views: list[_View], plane: SupportPlane, settings: LookSettings) -> list[_Pixels]:
@@ -356,14 +362,15 @@ class _ObjectCluster:
 
     @staticmethod
     def of(
-        pixels: _Pixels, views: list[_View], plane: SupportPlane, scale: float, settings: LookSettings
-    ) -> _ObjectCluster:
-        seen = [(view, own) for view, own in zip(views, pixels, strict=True) if len(own)]
-        points = np.concatenate([view.flat[own] for view, own in seen])
+        pixels: _Pixels, views: list[_View], kinds: list[NDArray[np.uint8]], plane: SupportPlane,
+        scale: float, settings: LookSettings,
+    ) -> _ObjectCluster:  # fmt: skip
+        seen = [each for each in zip(views, pixels, kinds, strict=True) if len(each[1])]
+        points = np.concatenate([view.flat[own] for view, own, _ in seen])
         T = plane.frame(points.mean(axis=0))
         inverse = T.inverse()
         eyes, rays, free_to, cuts, coarse, fine, colors = [], [], [], [], [], [], []
-        for view, own in seen:
+        for view, own, others in seen:
             eye = view.image.T_world_camera.translation
             beside, free, cut = _beside(
                 own, view.flat.reshape(*view.size, 3), eye, settings.ring, 2 * scale, view.size
@@ -372,12 +379,12 @@ class _ObjectCluster:
             rays.append(beside @ T.rotation.matrix)
             free_to.append(free)
             cuts.append(cut)
-            kinds = np.where(view.valid & (~view.others | view.things(plane, settings)), OTHER, FREE)
-            kinds[own] = OWN
+            shown = others.copy()
+            shown[own] = OWN
             assert view.image.depth is not None  # check_image
             for kept, most in ((coarse, COARSE_PIXELS), (fine, FINE_PIXELS)):
                 kept.append(cut_out(
-                    view.image.depth, kinds.astype(np.uint8).reshape(view.size), view.image.pinhole,
+                    view.image.depth, shown.reshape(view.size), view.image.pinhole,
                     view.image.T_world_camera.inverse() @ T, scale, _MARGIN, most,
                 ))  # fmt: skip
             if view.image.rgb is not None:
