@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.convex_decomposition import convex_pieces
 from armcell.core import SE3, InputError, Mesh, Shape
+from armcell.core.checks import is_number, require
 from armcell.core.geometry import local_bounds
 from armcell.grasping import hand_fit_kernel
 from armcell.kinematics import kinematic_tree
@@ -61,8 +62,12 @@ def pre_opening(width: float, gripper: Gripper, pose_error: float = 0.0) -> floa
 
     Args:
         pose_error: [m] distance by which the object's true pose may differ from the believed one.
+    Raises:
+        InputError: a distance is negative or not a finite number.
     """
-    return hand_fit_kernel.pre_opening(width, gripper.max_width, pose_error)
+    for name, value in (("width", width), ("pose_error", pose_error)):
+        require(is_number(value) and value >= 0, f"{name} is {value!r}, it must be a distance in meters")
+    return hand_fit_kernel.pre_opening(float(width), gripper.max_width, float(pose_error))
 
 
 @lru_cache(maxsize=32)
