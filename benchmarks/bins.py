@@ -4,10 +4,9 @@
     python -m benchmarks.bins --meshes FOLDER         # other objects: all meshes of a folder, at true scale
 
 Each bin holds objects of the grasp benchmark (`grasp_objects`) that are graspable on each side, drawn at
-random and dropped in physics. The
-cell is `bin_clearing` with these objects instead of its own. A bin is cleared if every object is in the tray,
-by the true poses. Picks per hour count placed objects per simulated time of the whole task, the last looks
-and failed picks included; planning costs no simulated time.
+random and dropped in physics. The cell is `bin_clearing` with these objects instead of its own. A bin is
+cleared if every object is in the tray, by the true poses. Picks per hour count placed objects per simulated
+time of the whole task, the last looks and failed picks included; planning costs no simulated time.
 """
 
 from __future__ import annotations

@@ -77,9 +77,7 @@ class SomeShape(_Sized, Strict):
         return {**own, **self.package_shape}
 
     def sized(self) -> tuple[str, list[float]] | None:
-        """Return the name and sizes [m] of a shape specified in a cell file. Return None for a mesh, a cloud
-        or no shape.
-        """
+        """Return the name and sizes [m] of a shape in a cell file; None for a mesh, a cloud or no shape."""
         for name, value in self.given().items():
             if name in ("mesh", "cloud"):
                 return None
@@ -90,9 +88,7 @@ class SomeShape(_Sized, Strict):
 
 
 class ShapeSpec(SomeShape):
-    """Cell file schema for one shape of an object. Exactly one shape key is given; lengths are full lengths
-    in meters.
-    """
+    """Cell file schema for one shape of an object: exactly one shape key, with full lengths in meters."""
 
     pose: Any = (0.0, 0.0, 0.0)
 
@@ -106,9 +102,7 @@ class ShapeSpec(SomeShape):
 
 
 class TypeSpec(Strict):
-    """Cell file schema for the type of an object: its key and its database, like the message ObjectType of
-    ROS's object_recognition_msgs.
-    """
+    """Cell file schema for the type of an object, like ObjectType of ROS's object_recognition_msgs."""
 
     key: str = ""
     db: str = ""

@@ -30,7 +30,6 @@ from armcell.perception.markers import (
 from armcell.perception.object_detection import (
     DetectedObject,
     DetectionResult,
-    LookSettings,
     check_image,
     look,
 )
@@ -43,6 +42,7 @@ from armcell.perception.occupancy_maps import (
     Sensors3d,
     load_sensors_3d,
 )
+from armcell.perception.segmentation import LookSettings
 
 __all__ = [
     "FAMILIES",
