@@ -271,8 +271,8 @@ class ExactChecker:
 
     # --- queries ---
     def is_free(self, q: ArrayLike) -> bool:
-        """Return whether no body that the group can move touches another body in the configuration q. The
-        check is exact and includes padding.
+        """Return whether the configuration q is collision-free: all bodies that the group can move touch
+        nothing. The check is exact and includes padding.
         """
         self.checks += 1
         self.set_configuration(q)

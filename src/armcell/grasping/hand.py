@@ -146,8 +146,8 @@ def _outline(piece: Shape) -> tuple[Array, NDArray[np.int32]]:
 
 
 def _slabs(piece: Shape, T_tcp_piece: SE3) -> list[Array]:
-    """Return boxes (6,) around slabs of a convex piece of a finger, each at most `SLAB` high along z of the
-    tcp frame. They follow a slanted finger; one box around it would fill the space between the pads.
+    """Cut a convex piece of a finger into slabs at most `SLAB` high along z of the tcp frame, and return a
+    box (6,) around each slab. A single box around a slanted finger would fill the space between the pads.
     """
     corners, edges = _outline(piece)
     corners = T_tcp_piece.apply(corners)

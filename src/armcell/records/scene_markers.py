@@ -99,7 +99,7 @@ _LISTS = ("metadata", "arrows", "cubes", "spheres", "cylinders", "lines", "trian
 
 
 class SceneMarkers:
-    """Markers of a run: which messages of type SceneUpdate the MCAP file needs at a time.
+    """Markers of a run: chooses the SceneUpdate messages that the MCAP file needs at each time.
 
     Args:
         types: message classes by name, with `MARKER_TYPES`.

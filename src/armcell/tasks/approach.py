@@ -54,7 +54,7 @@ class Approach(Motion):
     """
 
     object: str = ""
-    gripper: Gripper | None = None
+    gripper: Gripper | None = None  # None: no force stops the motion, as in a heap, where the hand may touch
     grasp: Grasp | None = None
 
     def monitor(self, ctx: TaskContext, trajectory: JointTrajectory) -> DropMonitor:

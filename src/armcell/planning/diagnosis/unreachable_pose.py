@@ -42,8 +42,8 @@ class IKBranch:
         return not self.contacts and not self.beyond
 
     def reason(self, model: RobotModel) -> str:
-        """Describe why an IK solution of an unreachable pose is invalid: by its limit violations, or else by
-        its contacts. Return "free" if it has neither.
+        """Describe why a joint solution is invalid: by its limit violations, or else by its contacts. Return
+        "free" for a solution without either.
         """
         outside = [
             f"{n} {text_format.joint_value(model, n, v)} beyond its limit" for n, v in self.beyond.items()

@@ -279,7 +279,7 @@ def approaches(
                 scene,
                 {"planned": "backwards", **result.evidence},
                 object=item,
-                gripper=gripper,
+                gripper=None if scene.object(item).has_cloud else gripper,
                 grasp=grasp,
             ),
             after_approach=at_grasp,

@@ -206,8 +206,8 @@ def plan_straight(scene: PlanningScene, group: str, link: str, target: SE3, spee
 def plan_within_reach(
     over: Callable[[float], PlanResult], distance: float, least: float, around_obstacles: bool = False
 ) -> PlanResult:
-    """Plan a straight motion over a distance [m]. If the arm cannot move that far, plan a shorter motion:
-    nearly as far as the arm can move, or over the distance `least`.
+    """Plan a straight motion over a distance [m]. If the arm cannot move that far, plan a motion nearly as
+    far as the arm can move. If this motion fails, plan a motion over the distance `least`.
 
     Args:
         over: plans the motion over a given length [m].
