@@ -193,6 +193,14 @@ def test_what_no_hand_fits_around_is_left_with_a_reason():
 
 
 @pytest.mark.long
+def test_a_force_on_the_hand_does_not_stop_its_approach_to_a_heap():
+    cell = two_things()
+    with cell.connect("sim", seed=0, settings=replace(cell.settings, contact_force=0.01)) as live:
+        outcome = live.clear("bin", **CALL)
+        assert outcome.ok and outcome.evidence["missed"] == 0, outcome.message
+
+
+@pytest.mark.long
 def test_a_flat_thing_is_picked_though_the_depth_of_the_floor_is_noisy():
     data = with_things(box_1=(0.70, -0.32, 0.2195)).spec.model_dump(exclude_unset=True)
     data["objects"]["box_1"] = {"box": (0.12, 0.02, 0.012), "pose": (0.7, -0.32, 0.2265), "movable": True}
