@@ -86,3 +86,20 @@ def test_a_pair_that_always_touches_is_told():
     )  # fmt: skip
     apart = replace(model, named_states={})
     assert disabled_collision_pairs(apart, 50)[frozenset("ac")] in ("Always", "Default")
+
+
+@pytest.mark.parametrize(("second", "nested"), [("1 0 0", True), ("0 1 0", False)])
+def test_stages_of_a_telescope_are_adjacent(tmp_path, second, nested):
+    links = "".join(
+        f'<link name="{name}"><collision><geometry><box size="0.4 0.1 0.1"/></geometry></collision></link>'
+        for name in ("base", "outer", "inner")
+    )
+    joints = "".join(
+        f'<joint name="{child}_joint" type="prismatic"><parent link="{parent}"/><child link="{child}"/>'
+        f'<axis xyz="{axis}"/><limit lower="0" upper="0.3" velocity="1" effort="1"/></joint>'
+        for parent, child, axis in (("base", "outer", "1 0 0"), ("outer", "inner", second))
+    )
+    (tmp_path / "telescope.urdf").write_text(f'<robot name="telescope">{links}{joints}</robot>')
+    found = disabled_collision_pairs(load_robot(tmp_path / "telescope.urdf"), samples=1000)
+    assert (found.get(frozenset(("base", "inner"))) == "Adjacent") == nested
+    assert found[frozenset(("outer", "inner"))] == "Adjacent"

@@ -24,6 +24,7 @@ from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.frames import workspace
 from armcell.collision.kernel.pack import NEAR, PAIR, PAIRS
 from armcell.collision.kernel.simd import L, pointer
+from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
 
@@ -128,6 +129,7 @@ class PairSampler:
 
 STARTS, STEPS = 6, 120  # start states of the search per pair, and steps per start state
 MORE = 48  # start states, as long as the search comes closer than CLOSE, and closer with every STARTS states
+PARALLEL = 0.999  # least cosine between the axes of a telescope's joints
 CLOSE, CLOSER = 0.002, 0.95  # [m]; share of the last smallest distance
 
 
@@ -190,7 +192,8 @@ def disabled_collision_pairs(
 
 def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
     """Return the pairs of adjacent links, for the self-collision matrix. Two links are adjacent if a joint,
-    or a chain of joints through links without geometry, connects them.
+    or a chain of joints through links without geometry, connects them. The stages of a telescope are adjacent
+    as well, since each slides inside the others.
     """
     adjacent, solid_parent = set(), {}
     for joint in model.joints.values():
@@ -200,7 +203,33 @@ def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
         solid_parent[joint.child] = parent
         if model.links[joint.child].collisions and model.links[parent].collisions:
             adjacent.add(frozenset((parent, joint.child)))
+    solid = {name for name, link in model.links.items() if link.collisions}
+    for a, b in _nested_stages(model):
+        adjacent.update(frozenset((p, q)) for p in a & solid for q in b & solid)
     return adjacent
+
+
+def _nested_stages(model: RobotModel) -> list[tuple[frozenset[str], frozenset[str]]]:
+    """Return the pairs of stages of telescopes, each stage as its rigidly connected links. A telescope is a
+    chain of two or more sliding joints with parallel axes.
+    """
+    T = {name: kinematic_tree(model).link_pose(model.neutral(), name) for name in model.links}
+    stages = {link: frozenset(links) for links in model.rigid_groups for link in links}
+    below: dict[frozenset[str], tuple[frozenset[str], Array]] = {}  # stage -> stage in which it slides, axis
+    for joint in model.joints.values():
+        if joint.type == "prismatic":
+            axis = T[joint.child].rotation.matrix @ np.asarray(joint.axis, dtype=float)
+            below[stages[joint.child]] = stages[joint.parent], axis / np.linalg.norm(axis)
+    pairs = []
+    for stage, (lower, axis) in below.items():
+        inside = [lower]
+        while lower in below and abs(below[lower][1] @ axis) > PARALLEL:
+            lower = below[lower][0]
+            inside.append(lower)
+        if len(inside) > 1:
+            pairs += [(stage, other) for other in inside]
+            pairs += [(a, b) for i, a in enumerate(inside) for b in inside[i + 1 :]]
+    return pairs
 
 
 def random_states(model: RobotModel, count: int, rng: np.random.Generator) -> Array:
