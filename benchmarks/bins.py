@@ -51,7 +51,12 @@ class Run:
     message: str
 
 
-def set_of(half: str | None) -> list[Path]:
+def meshes_in(folder: Path) -> list[Path]:
+    """Return the mesh files below a folder."""
+    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
+
+
+def meshes_of_set(half: str | None) -> list[Path]:
     """Return the meshes of the set, or of one half of it."""
     return [
         grasp_objects.folder(e.source) / grasp_objects.WHEELS[e.source][1] / e.file
@@ -117,9 +122,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ask.add_argument("--meshes", type=Path, help="folder of other meshes, at true scale")
     ask.add_argument("--keep", type=Path, help="folder for the cells of bins that were not cleared")
     a = ask.parse_args(arguments)
-    other = sorted(p for p in a.meshes.rglob("*") if p.suffix.lower() in SUFFIXES) if a.meshes else None
-    bin_clearing = armcell.load("bin_clearing")
-    files = [f for f in (set_of(a.half) if other is None else other) if fits(f, bin_clearing)]
+    files = meshes_in(a.meshes) if a.meshes else meshes_of_set(a.half)
+    cell = armcell.load("bin_clearing")
+    files = [file for file in files if fits(file, cell)]
     print(f"{len(files)} kinds of objects: {', '.join(file.stem for file in files)}")
     missed = False
     for count in a.counts:

@@ -95,9 +95,7 @@ def predictions(
     """
     rng, pool = np.random.default_rng(seed), distinct_grasps(grasps, POOL)
     drawn = [pool[i] for i in rng.permutation(len(pool))[: IN_VAIN * count]]
-    truths = sample_object_variants(item, len(drawn) + 1, rng, noise)[
-        1:
-    ]  # the first has the believed properties
+    _, *truths = sample_object_variants(item, len(drawn) + 1, rng, noise)  # the first is as believed
     found: list[Prediction] = []
     for grasp, truth in zip(drawn, truths, strict=True):
         if len(found) == count:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +26,6 @@ from armcell.cell.schema import StepSpec
 from armcell.core import Contact, ErrorCode, InputError, Outcome
 from armcell.grasping import Placement
 from armcell.tasks import TaskFailed, make_stage, perform_stages
-
-if TYPE_CHECKING:
-    from armcell.cell.cell import Cell
-
 
 log = logging.getLogger(__name__)
 

@@ -172,14 +172,14 @@ def _largest_savings(triangles: Array, planes: Array, whole: float) -> Array:
     return savings
 
 
-def _evenly_spread(count: int) -> Array:
+def evenly_spread(count: int) -> Array:
     """Return unit vectors (count, 3) that are evenly spread, on a spiral along z (the Fibonacci sphere)."""
     z = (2 * np.arange(count) + 1) / count - 1
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
 
 
-_DIRECTIONS = _evenly_spread(64)
+_DIRECTIONS = evenly_spread(64)
 """Fewer directions leave more cuts to measure exactly; from 40 to 100, the CPU time differs by 5 %."""
 
 

@@ -167,6 +167,9 @@ def compare(drawn, e, out):
 
 @njit(cache=True)
 def loss(vertices, faces, R, t, e, drawn, errors):
+    """Return the total loss of a mesh at the pose (R, t), and write the drawn depth (n,) [m] and the signed
+    error (n,) of each pixel.
+    """
     draw(vertices, faces, R, t, e, drawn)
     compare(drawn, e, errors)
     total = 0.0

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.convex_decomposition import evenly_spread
 from armcell.core import SE3, SO3, Shape
 from armcell.model.assets import decimated
 from armcell.perception import depth_render as D
@@ -61,7 +63,7 @@ class KnownMesh:
     radius: float  # [m] rms distance of the surface from the center
     diameter: float
     samples: F64
-    tree: object  # scipy.spatial.KDTree of the surface
+    tree: Any  # scipy.spatial.KDTree of the surface
 
     @cached_property
     def symmetries(self) -> tuple[SE3, ...]:
@@ -95,7 +97,7 @@ class KnownMesh:
         limit = min(_SAME * self.diameter, _MOST_SAME)
         there = (a.inverse() @ b).apply(self.samples)
         return all(  # most pairs of poses already differ at the first few samples
-            np.mean(np.isinf(self.tree.query(some, distance_upper_bound=limit)[0])) <= share  # type: ignore[attr-defined]
+            np.mean(np.isinf(self.tree.query(some, distance_upper_bound=limit)[0])) <= share
             for some, share in ((there[:30], 0.2), (there, _DIFFERENT))
         )
 
@@ -113,7 +115,7 @@ def known_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> KnownMesh:
     for rest in hull_rests(mesh.vertices, mass):
         if not len(ups) or (ups @ rest.up).max() < np.cos(_APART):
             ups = np.vstack([ups, rest.up])
-    directions = np.vstack([_directions(_DIRECTIONS), -ups])
+    directions = np.vstack([evenly_spread(_DIRECTIONS), -ups])
     corners = hull[np.unique(np.argmax(hull @ directions.T, axis=0))]
     tri = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     points = np.asarray(trimesh.sample.sample_surface(tri, _SURFACE, seed=0)[0])
@@ -133,13 +135,6 @@ def known_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> KnownMesh:
         samples=points[:: _SURFACE // _SAMPLES],
         tree=KDTree(points),
     )
-
-
-def _directions(count: int) -> F64:
-    """Return unit vectors (count, 3) spread evenly over the sphere (Fibonacci lattice)."""
-    k = np.arange(count) + 0.5
-    z, angle = 1 - 2 * k / count, k * np.pi * (3 - np.sqrt(5))
-    return np.column_stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z])
 
 
 def _few(vertices: F64, faces: Faces, most: int) -> tuple[F64, Faces]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,9 +32,6 @@ from armcell.planning import RunningMotion, plan_around_moving_arms
 from armcell.scene import PlanningScene
 from armcell.tasks.context import HeldObject, TaskContext
 from armcell.tasks.steps import Motion
-
-if TYPE_CHECKING:
-    from armcell.tasks.steps import Motion
 
 CLEARANCE = 0.02  # [m] between the arms
 PATIENCE = 30.0  # [s] of the driver's clock that an arm waits until its motion may start
