@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from armcell.core import SE3, SO3, Cone, Cylinder, InputError, Mesh, Shape
 from armcell.model.assets import load_mesh
@@ -164,6 +162,9 @@ def _rims(name: str, shapes: list[tuple[Mesh, SE3]], axis: F64) -> list[Measured
 
 def _connected(mesh: Mesh, at: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
     """Return the vertices selected by `at` (v,) as one index array for each part that edges connect."""
+    from scipy.sparse import coo_matrix  # imported late: the import takes 0.1 s, and few models have cups
+    from scipy.sparse.csgraph import connected_components
+
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     edges = edges[at[edges].all(1)]
     size = len(mesh.vertices)
