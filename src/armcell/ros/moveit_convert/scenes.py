@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from armcell.core import InputError, Octree
+from armcell.core.gc_pauses import gc_paused
 from armcell.ros.convert import pose_from_message, pose_message, transform_message
 from armcell.ros.moveit_convert.objects import (
     ADD,
@@ -151,6 +152,7 @@ def attached_changes(message: Any, scene: PlanningScene, known: PlanningScene | 
     raise InputError(f"attached object {name!r}: operation {operation}", hint="0 add, 1 remove")
 
 
+@gc_paused()
 def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
     """Convert a moveit_msgs/PlanningScene message to a scene diff.
 
