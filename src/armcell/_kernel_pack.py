@@ -50,7 +50,7 @@ def processor_levels() -> tuple[str, ...]:
 def matching_pack(version: str) -> Path | None:
     """Return the fastest pack for this processor and a cache version, or None."""
     packs = (PACKS / f"{version}-{level}.zip" for level in processor_levels())
-    return next((pack for pack in packs if pack.is_file()), None)
+    return next((pack for pack in packs if os.path.isfile(pack)), None)
 
 
 def use_pack(pack: Path, folder: Path) -> None:
@@ -62,7 +62,7 @@ def use_pack(pack: Path, folder: Path) -> None:
     if os.environ.get("NUMBA_CPU_NAME", level_of(pack)) != level_of(pack):
         return
     unpacked = folder / f"{pack.stem}-{cached_folder(PACKAGE)}"  # other installations have other folders
-    if not unpacked.exists():
+    if not os.path.exists(unpacked):
         import zipfile  # most starts unpack nothing
 
         try:
@@ -115,11 +115,11 @@ def write_pack(pack: Path, folder: Path) -> None:
 
 def _cached_files(folder: Path) -> Iterable[tuple[str, Path]]:
     """Yield the name in the pack and the file of each cached kernel, and of files beside the kernels."""
-    for sources in (PACKAGE, *(path for path in PACKAGE.rglob("*") if path.is_dir())):
+    for sources in (PACKAGE, *(path for path in PACKAGE.rglob("*") if os.path.isdir(path))):
         for file in (folder / cached_folder(sources)).glob("*.nb[ic]"):
             yield (sources.relative_to(PACKAGE) / file.name).as_posix(), file
     for file in folder.iterdir():
-        if file.is_file():
+        if os.path.isfile(file):
             yield file.name, file
 
 

@@ -9,7 +9,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,6 +47,7 @@ class JointState:
     velocities: F64 | None = None  # (n,)
     efforts: F64 | None = None  # (n,) [Nm or N]
     time: float = 0.0  # [s]
+    WRITTEN_AS: ClassVar[str] = 'JointState.from_mapping({"joint_1": 0.5})'
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from armcell.core.checks import checked
 from armcell.core.geometry import Shape
@@ -84,6 +84,7 @@ class VisibilityConstraint:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Constraints:
     """Set of constraints on the motion of a robot or on its goal; all of them must hold at the same time."""
 
@@ -109,6 +110,7 @@ class JointGoal:
     state: JointState
     tolerance: float = 1e-4  # [rad or m] of each named joint
     turns: bool = False
+    WRITTEN_AS: ClassVar[str] = 'JointGoal(JointState.from_mapping({"joint_1": 0.5}))'
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,16 +127,20 @@ class PoseGoal:
     link: str | None = None  # also an attached object
     position_tolerance: float = 1e-4  # [m]
     orientation_tolerance: float | tuple[float, float, float] = 1e-3  # [rad]; pi or more: any
+    WRITTEN_AS: ClassVar[str] = "PoseGoal(SE3.from_xyz(0.4, 0.0, 0.2))"
 
 
 @dataclass(frozen=True)
+@checked()
 class NamedGoal:
     """Goal of a planning request, given as a named state of the planning group (group_state in the SRDF)."""
 
     name: str
+    WRITTEN_AS: ClassVar[str] = 'NamedGoal("home")'
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class ConstraintGoal:
     """Goal of a planning request, given as a region:
     any robot state that satisfies all constraints reaches the goal.
@@ -157,7 +163,7 @@ class PlanRequest:
     """
 
     group: str
-    goals: tuple[Goal, ...]  # the planner may choose any of them
+    goals: tuple[Goal, ...]  # the planner may choose any of them; also a single goal
     start: JointState | None = None  # default: the scene's state; unnamed joints keep the scene's positions
     planner_id: str = "RRTConnect"
     pipeline_id: str = "native"
@@ -177,6 +183,10 @@ class PlanRequest:
     adapters: tuple[str, ...] = ADAPTERS
     arm_clearance: float = 0.02  # [m] between the arms of a multi-arm group, as far as start and goals allow
 
+    def __post_init__(self) -> None:
+        if isinstance(self.goals, Goal):
+            object.__setattr__(self, "goals", (self.goals,))
+
 
 @dataclass(frozen=True, eq=False)
 @checked()
@@ -184,7 +194,7 @@ class CartesianRequest:
     """Request to move a link through poses on straight lines, as in MoveIt's compute_cartesian_path."""
 
     group: str
-    waypoints: tuple[SE3, ...]  # T_world_link
+    waypoints: tuple[SE3, ...]  # T_world_link; also a single pose
     link: str | None = None
     start: JointState | None = None
     max_step: float = 0.005  # [m] between checked poses
@@ -196,6 +206,10 @@ class CartesianRequest:
     velocity_scaling: float = 1.0
     acceleration_scaling: float = 1.0
     max_cartesian_speed: float | None = None  # [m/s]
+
+    def __post_init__(self) -> None:
+        if isinstance(self.waypoints, SE3):
+            object.__setattr__(self, "waypoints", (self.waypoints,))
 
 
 @dataclass(frozen=True, eq=False)

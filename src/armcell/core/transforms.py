@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -197,6 +198,7 @@ class SE3:
 
     rotation: SO3
     translation: Array  # (3,)
+    WRITTEN_AS: ClassVar[str] = "SE3.from_xyz(0.4, 0.0, 0.2)"
 
     def __post_init__(self) -> None:
         t = self.translation

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +159,9 @@ class CollisionObject:
     type: ObjectType = ObjectType()
     thread: ScrewThread | None = None  # screw connection to another object, in physics
     belt: tuple[float, float, float] | None = None  # [m/s, object frame] surface velocity of a fixed object
+    WRITTEN_AS: ClassVar[str] = (
+        'CollisionObject.single("box", Box(0.1, 0.1, 0.1), SE3.from_xyz(0.4, 0.0, 0.2))'
+    )
 
     def __post_init__(self) -> None:
         if not self.name:

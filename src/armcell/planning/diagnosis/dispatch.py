@@ -42,6 +42,12 @@ def with_explanation(kind: type) -> Callable[[F], F]:
     def decorate(solve: F) -> F:
         @wraps(solve)
         def solve_and_keep(scene: PlanningScene, request: Any, *more: Any, **options: Any) -> PlanResult:
+            if not isinstance(scene, PlanningScene) or not isinstance(request, kind):
+                given = f"{type(scene).__name__} and {type(request).__name__}"
+                raise InputError(
+                    f"{solve.__name__}() needs a PlanningScene and a {kind.__name__}, not {given}",
+                    hint="PlanningScene.of(model) is the scene of a robot without objects",
+                )
             result = solve(scene, request, *more, **options)
             if result.ok:
                 return result
