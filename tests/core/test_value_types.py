@@ -23,12 +23,12 @@ from armcell import (
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: JointGoal({"a": 0.1}), r"JointGoal: state is {'a': 0.1}, it must be JointState .*from_mapping"),
-        (lambda: PlanRequest("arm", "home"), r"goals is 'home', it must be a tuple of JointGoal or.*NamedGoal\("),
+        (lambda: JointGoal({"a": 0.1}), r"JointGoal: state is .*, it must be JointState .*from_mapping"),
+        (lambda: PlanRequest("arm", "home"), r"goals is 'home', it must be a tuple of .*NamedGoal\("),
         (lambda: PlanRequest("arm", ["home"]), r"PlanRequest: goals is \['home'\]"),
         (lambda: PlanRequest(7, NamedGoal("home")), "group is 7, it must be text"),
         (lambda: PlanRequest("arm", NamedGoal("home"), start=[0.0]), "it must be JointState or None"),
-        (lambda: PoseGoal([0.4, 0, 0.4]), r"T_world_link is \[0.4, 0, 0.4\], it must be SE3 \(for example SE3"),
+        (lambda: PoseGoal([0.4, 0, 0.4]), r"T_world_link is \[0.4, 0, 0.4\], it must be SE3 "),
         (lambda: CartesianRequest("arm", np.zeros(3)), "waypoints is .*, it must be a tuple of SE3"),
         (lambda: CollisionObject("a", Box(1, 1, 1)), "CollisionObject: shapes is Box"),
         (lambda: CollisionObject("a", ((Box(1, 1, 1), [0, 0, 0]),)), "CollisionObject: shapes is"),
