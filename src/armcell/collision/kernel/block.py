@@ -34,8 +34,10 @@ from armcell.collision.kernel.frames import (
     fk_block,
     interval_half_width_at,
     motion_margin,
+    rate_at,
     record_collision,
     record_contact,
+    required_distance_at,
     twist_block,
     velocity_at,
 )
@@ -44,6 +46,9 @@ from armcell.collision.kernel.pack import (
     BODY_SPHERE,
     DOF,
     FRAME,
+    GAP_GRID,
+    GAP_TABLE,
+    GAPS,
     GROUP_SPHERE,
     GROUP_SPHERES,
     GROUPS,
@@ -57,7 +62,19 @@ from armcell.collision.kernel.pack import (
     PAIRS,
     SPHERE,
 )
-from armcell.collision.kernel.simd import L, at_address, call, fma, load, mask_lt, pointer, splat, vabs, vsqrt
+from armcell.collision.kernel.simd import (
+    L,
+    at_address,
+    call,
+    fma,
+    load,
+    mask_lt,
+    pointer,
+    splat,
+    store,
+    vabs,
+    vsqrt,
+)
 from armcell.collision.kernel.world_collision import world_block
 
 # pyright: reportCallIssue=false
@@ -147,10 +164,38 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
 
 
 @inner_njit
+def _apart_by_table(I, F, w, pair, slack, mode):
+    """Return a bit mask of the SIMD lanes in which a gap table proves that two robot bodies are apart, in a
+    proof for the whole interval. Pairs without a table are apart in no lane.
+    """
+    t = I[GAP_TABLE] + 5 * pair
+    if I[t] < 0:
+        return np.int64(0)
+    need = splat(F[I[PAIR_MARGIN] + pair])
+    if mode & PROVE:
+        motion, rate = splat(np.float32(0.0)), I[PAIR_RATE] + I[DOF] * pair
+        for j in range(I[DOF]):
+            motion = fma(vabs(load(w, rate_at(I, j))), splat(F[rate + j]), motion)
+        need = fma(load(w, interval_half_width_at(I)), motion, need + splat(slack))
+    at, g, first, second = required_distance_at(I), I[GAP_GRID] + 6 * pair, I[t + 1] * L, I[t + 2] * L
+    store(w, at, need)
+    apart, table = np.int64(0), I[GAPS] + I[t]
+    for lane in range(L):
+        x, y = (w[first + lane] - F[g]) * F[g + 1], (w[second + lane] - F[g + 3]) * F[g + 4]
+        a, b = int(x - F[g + 2] * np.floor(x / F[g + 2])), int(y - F[g + 5] * np.floor(y / F[g + 5]))
+        if a < I[t + 3] and b < I[t + 4] and F[table + a * I[t + 4] + b] > w[at + lane]:
+            apart |= np.int64(1) << lane
+    return apart
+
+
+@inner_njit
 def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, mode):
     i, j = I[I[PAIR] + 2 * pair], I[I[PAIR] + 2 * pair + 1]
     f, e, bodies = I[I[FRAME] + i], I[I[FRAME] + j], I[BODIES]
     sj, open_lanes = I[BODY_SPHERE] + 4 * j, np.int64(0)
+    undecided = ~_apart_by_table(I, F, w, pair, slack_pair[pair], mode)
+    if state[ALIVE] & undecided == 0:
+        return False
     for a in range(I[I[NEAR] + pair], I[I[NEAR] + pair + 1]):
         g = I[I[NEAR_GROUPS] + a]
         sg = I[GROUP_SPHERE] + 4 * g
@@ -166,6 +211,7 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, 
             near = _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode)
             if near == DONE:
                 return True
+            near &= undecided
             if near != 0 and mode & EXACT == 0 and record_collision(state, near, mode):
                 return True
             open_lanes |= near
