@@ -33,7 +33,9 @@ log = logging.getLogger("armcell")
 
 @cache
 def processor_levels() -> tuple[str, ...]:
-    """Return the levels in `LEVELS` that this processor supports, highest first; none if they are unknown."""
+    """Return the processor levels (x86-64-v3, x86-64-v4) for which this machine can use a kernel pack,
+    highest first. The result is empty if the levels are unknown.
+    """
     try:
         text = PROCESSOR.read_text()
     except OSError:
@@ -48,7 +50,7 @@ def processor_levels() -> tuple[str, ...]:
 
 
 def matching_pack(version: str) -> Path | None:
-    """Return the fastest pack for this processor and a cache version, or None."""
+    """Return the fastest kernel pack for this processor and a cache version, or None."""
     packs = (PACKS / f"{version}-{level}.zip" for level in processor_levels())
     return next((pack for pack in packs if os.path.isfile(pack)), None)
 
@@ -79,17 +81,17 @@ def use_pack(pack: Path, folder: Path) -> None:
 
 
 def target_of(level: str) -> dict[str, str]:
-    """Return the environment variables with which Numba compiles for a processor level."""
+    """Return the environment variables that make Numba compile for the processor level of a kernel pack."""
     return {"NUMBA_CPU_NAME": level, "NUMBA_CPU_FEATURES": ""}  # no features beyond those of the level
 
 
 def level_of(pack: Path) -> str:
-    """Return the processor level in a pack's file name."""
+    """Return the processor level in the file name of a kernel pack."""
     return pack.stem.partition("-")[2]
 
 
 def cached_place(name: str, folder: Path) -> Path:
-    """Return the file in Numba's cache folder for a file of a pack, whose folder is that of its source."""
+    """Return the path in Numba's cache folder to which a file of a kernel pack is unpacked."""
     path = PurePosixPath(name)
     if path.parent == PurePosixPath():
         return folder / name
@@ -97,14 +99,16 @@ def cached_place(name: str, folder: Path) -> Path:
 
 
 def cached_folder(sources: Path) -> str:
-    """Return the name of the folder in which Numba caches the kernels of a source folder: Numba's
-    `_CacheLocator.get_suitable_cache_subpath`.
+    """Return the name of the folder in which Numba caches the kernels of a source folder, to pack and unpack
+    the kernels.
+
+    The name is that of Numba's `_CacheLocator.get_suitable_cache_subpath`.
     """
     return f"{sources.name}_{hashlib.sha1(str(sources).encode()).hexdigest()}"
 
 
 def write_pack(pack: Path, folder: Path) -> None:
-    """Write the kernels of armcell in Numba's cache folder into a pack."""
+    """Write armcell's compiled kernels from Numba's cache folder to a kernel pack."""
     import zipfile
 
     pack.parent.mkdir(exist_ok=True)
@@ -114,7 +118,9 @@ def write_pack(pack: Path, folder: Path) -> None:
 
 
 def _cached_files(folder: Path) -> Iterable[tuple[str, Path]]:
-    """Yield the name in the pack and the file of each cached kernel, and of files beside the kernels."""
+    """Yield each file of a kernel pack to write: its name in the pack, and its path. These are the cached
+    kernels and the files beside them.
+    """
     for sources in (PACKAGE, *(path for path in PACKAGE.rglob("*") if os.path.isdir(path))):
         for file in (folder / cached_folder(sources)).glob("*.nb[ic]"):
             yield (sources.relative_to(PACKAGE) / file.name).as_posix(), file
@@ -124,7 +130,7 @@ def _cached_files(folder: Path) -> Iterable[tuple[str, Path]]:
 
 
 def _write(file: Path, content: bytes) -> None:
-    """Write a file that no process reads half written."""
+    """Write a file of a kernel pack atomically, so that no process reads a partly written file."""
     file.parent.mkdir(mode=0o700, exist_ok=True)
     new = file.with_name(f"{file.name}.tmp.{os.getpid()}")
     new.touch(0o600)

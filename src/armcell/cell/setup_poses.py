@@ -108,7 +108,9 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
 
 
 def _moves(model: RobotModel, link: str, names: tuple[str, ...]) -> bool:
-    """Return whether a link moves with any of the given joints or with a joint that mimics one of them."""
+    """Return whether a link moves with any of the gripper joints for which `armcell setup` generates poses,
+    or with a joint that mimics one of them.
+    """
     tree = kinematic_tree(model)
     columns = set(model.columns(names))
     return any(int(tree.column[j]) in columns and tree.kind[j] != 0 for j in tree.path_to(link))
@@ -190,8 +192,8 @@ class _Judge:
         return self.checker.is_free(q)
 
     def room(self, q: Array) -> float:
-        """Return the distance [m] between the closest two links in a candidate for a named pose. It is
-        negative if links are in contact.
+        """Return the distance [m] between the closest two links in a candidate for a named pose that `armcell
+        setup` generates. It is negative if links are in contact.
 
         Only pairs that can touch count. Distances above 1 m are not measured.
         """
@@ -203,7 +205,7 @@ class _Judge:
 
 def _dexterity(model: RobotModel, q: Array, groups: list) -> float:
     """Return the smallest manipulability sqrt(det(J J^T)) among several planning groups at the configuration
-    q, a candidate for the pose "ready".
+    q, a candidate for the pose "ready" that `armcell setup` generates.
     """
     tree = kinematic_tree(model)
     values = [1.0]

@@ -154,7 +154,9 @@ class _Layout:
 def _around(
     model: RobotModel, shoulder: NDArray[np.float64], reach: float, bottom: float
 ) -> Iterator[_Layout]:
-    """Yield layouts in which the robot stands on the table or, if its start states need it, above it."""
+    """Yield layouts of a starter cell in which the robot stands on the table or, if its start states need it,
+    above it.
+    """
     side = round(2.4 * (reach + float(np.hypot(*shoulder[:2]))), 2)
     for height in HEIGHTS:
         table = _table(side, (0.0, 0.0), bottom - GAP - height)
@@ -168,7 +170,7 @@ def _around(
 
 
 def _in_front(model: RobotModel, shoulder: NDArray[np.float64], reach: float) -> Iterator[_Layout]:
-    """Yield layouts with a raised table beside a robot that stands on the floor."""
+    """Yield layouts of a starter cell with a raised table beside a robot that stands on the floor."""
     for drop in DROPS:
         for angle in FRONTS:
             for ahead in AHEAD:
@@ -238,7 +240,9 @@ def _arms(model: RobotModel) -> list[Group]:
 
 
 def _shoulder(model: RobotModel, arm: Group) -> NDArray[np.float64]:
-    """Return the position (3,) [m] of an arm's first joint in the frame of the robot's base."""
+    """Return the position (3,) [m] of an arm's first joint in the frame of the robot's base, for the layout
+    of a starter cell.
+    """
     joint = model.joints[arm.joint_names[0]]
     return kinematic_tree(model).link_pose(model.default_positions(), joint.child).translation
 

@@ -42,8 +42,8 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
 
 
 def stored_pieces(key: str, make: Callable[[], tuple[Mesh, ...]]) -> tuple[Mesh, ...]:
-    """Return the convex pieces of a mesh from the cache on disk.
-    If the cache has no entry for the key, compute the pieces.
+    """Return a convex decomposition of a mesh from the disk cache. If the cache has no entry for the key,
+    compute the decomposition.
     """
 
     def computed() -> dict[str, NDArray]:
@@ -84,7 +84,9 @@ def _cut(mesh: Mesh) -> tuple[Mesh, ...]:
 
 
 class _CutMesh(NamedTuple):
-    """Cut of a mesh: the saved volume [m^3], and the triangles and hull volumes [m^3] of both halves."""
+    """Cut of a convex decomposition through a mesh: the saved volume [m^3], and the triangles and hull
+    volumes [m^3] of both halves.
+    """
 
     saving: float = 0.0
     halves: tuple[Array, ...] = ()
@@ -96,8 +98,8 @@ def _hull_volume(triangles: Array) -> float:
 
 
 def _hull(points: Array) -> tuple[float, Array]:
-    """Return the volume [m^3] of the hull of points (n, 3), and its corners.
-    Flat or empty sets have no volume, and all their points are returned.
+    """Return the hull volume [m^3] of points (n, 3) and the corners of the hull, to rate a cut of a convex
+    decomposition. Flat or empty sets have volume 0 and keep all their points.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -109,7 +111,9 @@ def _hull(points: Array) -> tuple[float, Array]:
 
 
 def convex_hull_mesh(triangles: Array) -> Mesh:
-    """Return a convex piece: the convex hull of points (..., 3), as a mesh with outward-facing faces."""
+    """Return the convex hull of points (..., 3) as a mesh with outward-facing faces, which is one piece of a
+    convex decomposition.
+    """
     from scipy.spatial import ConvexHull
 
     points = np.unique(triangles.reshape(-1, 3), axis=0)
@@ -125,8 +129,8 @@ def convex_hull_mesh(triangles: Array) -> Mesh:
 
 
 def _best_cut(triangles: Array, whole: float, least: float) -> _CutMesh:
-    """Find the axis-aligned plane that best cuts a mesh, whose hull has the volume `whole` [m^3], into two
-    convex pieces.
+    """Find the axis-aligned plane that best cuts a mesh in two for its convex decomposition. The mesh's hull
+    has the volume `whole` [m^3].
 
     The saving is less than `least` [m^3] if no cut saves as much.
     """
@@ -149,8 +153,8 @@ def _best_cut(triangles: Array, whole: float, least: float) -> _CutMesh:
 
 
 def _largest_savings(triangles: Array, planes: Array, whole: float) -> Array:
-    """Return upper bounds (3, k) [m^3] of the volume that each cut of a mesh saves. Most exceed the true
-    values by few percent of the whole hull.
+    """Return upper bounds (3, k) [m^3] on the hull volume that each possible cut of a convex decomposition
+    saves. Most bounds exceed the true values by a few percent of the whole hull.
 
     The hull of some points of a half is at most as large as the half's hull. The points are the extreme ones
     of each slab between two planes, and of each plane's section.
@@ -173,7 +177,9 @@ def _largest_savings(triangles: Array, planes: Array, whole: float) -> Array:
 
 
 def evenly_spread(count: int) -> Array:
-    """Return unit vectors (count, 3) that are evenly spread, on a spiral along z (the Fibonacci sphere)."""
+    """Return unit vectors (count, 3) that are evenly spread (Fibonacci sphere). Along these directions, the
+    convex decomposition searches the extreme points of a mesh.
+    """
     z = (2 * np.arange(count) + 1) / count - 1
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
@@ -185,8 +191,8 @@ _DIRECTIONS = evenly_spread(64)
 
 @njit(cache=True)
 def _extreme_points(triangles, planes, directions):
-    """Return the corners of triangles (n, 3, 3) that are farthest in each direction (d, 3), by axis and slab
-    between two planes (3, k + 1, d, 3), and the same of the sections with the planes (3, k, d, 3).
+    """Return the extreme points along directions (d, 3) of a mesh to decompose, for each slab between its
+    candidate cuts (3, k + 1, d, 3) and for its section with each cut (3, k, d, 3).
 
     The points are NaN where there are none.
     """
@@ -234,7 +240,8 @@ def _extreme_points(triangles, planes, directions):
 
 
 def cut_corners(triangles: Array, height: Array, odd: NDArray[np.intp]) -> tuple[Array, ...]:
-    """Cut triangles (n, 3, 3) at a plane that separates one corner of each from the other two.
+    """Cut triangles (n, 3, 3) of a mesh to decompose at a plane that separates one corner of each triangle
+    from the other two.
 
     Args:
         height: signed distances (n, 3) of the corners from the plane.

@@ -55,8 +55,8 @@ collision-free state."""
 
 @njit(cache=True, nogil=True)
 def _ask_pairs(handle, pairs, q, masks):
-    """Test body pairs at sampled configurations, and set one bit in `masks` (pairs, blocks) for each
-    configuration in which a pair is close.
+    """Test pairs of robot links for self-collision at sampled configurations. Set one bit in `masks` (pairs,
+    blocks) for each configuration in which a pair is close.
 
     A block has 16 rows of q.
     """
@@ -81,7 +81,7 @@ def _ask_pairs(handle, pairs, q, masks):
 
 
 class PairSampler:
-    """Sampler that finds the contacts of each pair of bodies in a very large number of configurations.
+    """Sampler that finds the self-collisions of each pair of links in a very large number of configurations.
 
     Pairs that `near` proved apart are left out.
 
@@ -103,8 +103,8 @@ class PairSampler:
     def contact_masks(
         self, numbers: I64, q: F64, within: float = 0.0, progress: Callable[[int], None] | None = None
     ) -> NDArray[np.bool_]:
-        """Return for each given body pair the sampled configurations in which the pair is in contact, as a
-        boolean mask (pairs, samples).
+        """Return for each given pair of links the sampled configurations in which the pair is in
+        self-collision, as a boolean mask (pairs, samples).
 
         Args:
             numbers: indices in `pairs`.
@@ -152,7 +152,7 @@ class LinkPair:
 
     @property
     def share(self) -> float:
-        """Return the fraction of the samples in which the link pair is in contact."""
+        """Return the fraction of the samples in which a pair of links is in self-collision."""
         return self.touching / self.samples
 
     @property
@@ -325,8 +325,8 @@ class _Survey:
         return {names[n]: (int(counts[n]), len(close[n])) for n in numbers}, unproven
 
     def _nearest(self, sampler: PairSampler, pair: int, near: I64) -> list[int]:
-        """Return the start states of the search for contact of a link pair, as indices in `states`, nearest
-        first.
+        """Return the start states of the search for a self-collision of a link pair, as indices in `states`,
+        nearest first.
 
         Args:
             pair: index in the sampler's pairs.
@@ -360,8 +360,7 @@ class _Survey:
         return found
 
     def _hands(self) -> set[str]:
-        """Return the names of the groups that count as grippers when armcell searches for self-collisions to
-        disable.
+        """Return the names of the groups that count as grippers in the search for self-collisions to disable.
 
         These are the groups of end effectors, and the groups that share no joint with a group that has a tip
         link.
@@ -432,7 +431,9 @@ class _Survey:
         return False
 
     def _between(self, a: str, b: str) -> list[int]:
-        """Return the indices of the joints that move one link relative to another."""
+        """Return the indices of the joints that move one link relative to another, to search for
+        self-collisions of the two links.
+        """
         tree = self.exact.tree
         apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
         return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})

@@ -48,8 +48,8 @@ def _number(value: Any) -> bool:
 
 
 def _like(default: Any, value: Any, what: str) -> Any:
-    """Check that a setting's value from a file has the type of the setting's default value, and convert the
-    value to this type.
+    """Check that a setting's value from a file has the type of the default value, and convert the value to
+    this type.
     """
     if is_dataclass(default) and not isinstance(default, type):
         return settings_from(type(default), value, what)
@@ -77,8 +77,8 @@ def _like(default: Any, value: Any, what: str) -> Any:
 
 
 def is_number(value: Any, infinite: bool = False) -> bool:
-    """Return whether a value is a single real number.
-    NaN never counts as a number; infinity counts only if `infinite` is true.
+    """Check whether a value is a single real number. NaN never counts as a number; infinity counts only if
+    `infinite` is true.
     """
     if type(value) is float:  # nearly always
         return math.isfinite(value) or (infinite and not math.isnan(value))
@@ -220,16 +220,16 @@ def _fits(value: Any, kind: str, infinite: bool) -> bool:
 
 
 def _class_fields(cls: type) -> list[tuple[str, Callable[[Any], bool], Any]]:
-    """Return the fields of a dataclass that contain texts or value types of armcell: the name, a test of its
-    value, and its type annotation.
+    """Return the fields that the check of a dataclass covers, which contain texts or value types of armcell:
+    name, test of the value, and type annotation.
     """
     tests = ((name, _test(hint), hint) for name, hint in get_type_hints(cls).items())
     return [(name, test, hint) for name, test, hint in tests if test is not None]
 
 
 def _test(hint: Any) -> Callable[[Any], bool] | None:
-    """Return a function that tests whether a value has an annotated type, or None for types that are not
-    checked.
+    """Return a check function that tests whether a value has an annotated type, or None for types that are
+    not checked.
     """
     parts = get_args(hint)
     if get_origin(hint) is tuple:
@@ -259,7 +259,9 @@ def _is_checkable(option: Any) -> bool:
 
 
 def _described(hint: Any) -> str:
-    """Describe an annotated type in words, such as "a tuple of SE3"."""
+    """Describe the type that a checked value must have in words, such as "a tuple of SE3", for the error
+    message.
+    """
     parts = [part for part in get_args(hint) if part is not ...]
     if get_origin(hint) is tuple:
         inner = [_described(part) for part in parts]
@@ -270,7 +272,9 @@ def _described(hint: Any) -> str:
 
 
 def _example(hint: Any) -> str | None:
-    """Return how values of an annotated type are written, from the `WRITTEN_AS` of its classes."""
+    """Return an example of a valid value for the message of a failed type check, from the `WRITTEN_AS` of the
+    annotated classes.
+    """
     while get_origin(hint) is tuple and ... in get_args(hint):
         hint = get_args(hint)[0]
     options = get_args(hint) or (hint,)

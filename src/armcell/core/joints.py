@@ -31,7 +31,7 @@ def _columns(have: Names, want: Iterable[str]) -> list[int]:
 
 
 def all_finite(values: F64) -> bool:
-    """Return whether all values (n,) of a joint state are finite; for small n, this is faster than NumPy."""
+    """Return whether all values (n,) of a joint state are finite. For small n, this is faster than NumPy."""
     return math.isfinite(values.dot(values)) or bool(np.isfinite(values).all())
 
 
@@ -118,7 +118,7 @@ class JointState:
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """Path in joint space: waypoints that are connected by straight segments, without timing."""
+    """Joint path: waypoints in joint space that are connected by straight segments, without timing."""
 
     joint_names: Names
     waypoints: F64  # (k, n) [rad or m]
@@ -135,9 +135,7 @@ class JointPath:
 
     @property
     def length(self) -> float:
-        """Return the length [rad] of a path in joint space, the sum of the Euclidean lengths of its
-        segments.
-        """
+        """Return the length [rad] of a joint path, which is the sum of the Euclidean lengths of its segments."""
         return float(np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).sum())
 
     def reversed(self) -> JointPath:
@@ -280,7 +278,8 @@ class JointTrajectory:
 
 
 class Playback:
-    """Fast evaluator for playing back a trajectory: it returns the positions and velocities at any time.
+    """Fast evaluator for the playback of a joint trajectory: it returns the joints' positions and velocities
+    at any time.
 
     The values agree with `JointTrajectory.sample`; accelerations are not available.
 
@@ -320,8 +319,8 @@ class Playback:
         self._coefficients = np.concatenate([c, slopes], axis=2)  # (k - 1, 6, 2n)
 
     def at(self, t: float) -> tuple[F64, F64]:
-        """Return the position and the velocity, each (n,),
-        at a time t [s] of the trajectory that is played back.
+        """Return the joints' positions and velocities, each (n,), at a time t [s] of the joint trajectory
+        that is played back.
 
         Before the start and after the end, the position is constant.
         """
@@ -333,8 +332,8 @@ class Playback:
         return both[:n], both[n:]
 
     def at_times(self, times: ArrayLike) -> tuple[F64, F64]:
-        """Return the positions and velocities, each (k, n),
-        at several times (k,) [s] of the trajectory that is played back.
+        """Return the joints' positions and velocities, each (k, n), at several times (k,) [s] of the joint
+        trajectory that is played back.
 
         Before the start and after the end, the position is constant.
         """

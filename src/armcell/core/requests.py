@@ -20,7 +20,7 @@ ADAPTERS = ("fix_start_state_bounds", "resolve_constraint_frames", "timing", "va
 @dataclass(frozen=True)
 @checked()
 class JointConstraint:
-    """Constraint that keeps a joint within tolerances [rad or m] of a desired position.
+    """Constraint in motion requests that keeps a joint within tolerances [rad or m] of a desired position.
 
     The joint stays between position - tolerance_below and position + tolerance_above.
     """
@@ -34,8 +34,8 @@ class JointConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PositionConstraint:
-    """Constraint that keeps a point of a link inside a region, that is, inside at least one of the region's
-    shapes.
+    """Constraint in motion requests that keeps a point of a link inside a region, that is, inside at least
+    one of the region's shapes.
     """
 
     region: tuple[tuple[Shape, SE3], ...]  # (shape, T_frame_shape)
@@ -47,7 +47,8 @@ class PositionConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class OrientationConstraint:
-    """Constraint that keeps the orientation of a link within a tolerance [rad] about each axis.
+    """Constraint in motion requests that keeps the orientation of a link within a tolerance [rad] about each
+    axis.
 
     A tolerance of pi or more frees its axis.
 
@@ -66,7 +67,8 @@ class OrientationConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class VisibilityConstraint:
-    """Constraint that keeps the view cone from a sensor to a target disc free of the robot's links.
+    """Constraint in motion requests that keeps the view cone from a sensor to a target disc free of the
+    robot's links.
 
     The sensor's own link, the link that carries the disc, and attached objects do not count (as in MoveIt).
     World objects are not checked.
@@ -86,7 +88,9 @@ class VisibilityConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Constraints:
-    """Set of constraints on the motion of a robot or on its goal; all of them must hold at the same time."""
+    """Set of constraints in motion requests, on the motion or on its goal. All constraints must hold at the
+    same time.
+    """
 
     joints: tuple[JointConstraint, ...] = ()
     positions: tuple[PositionConstraint, ...] = ()
@@ -101,7 +105,7 @@ class Constraints:
 @dataclass(frozen=True, eq=False)
 @checked()
 class JointGoal:
-    """Goal of a planning request, given as positions of some joints; the other joints keep their positions.
+    """Goal in motion requests, given as positions of some joints. The other joints keep their positions.
 
     The planner prefers the exact positions and otherwise uses positions within the tolerance. With `turns`, a
     joint may end whole turns away from its goal, as close to the start as its limits allow.
@@ -116,8 +120,8 @@ class JointGoal:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PoseGoal:
-    """Goal of a planning request, given as the world pose of a link; by default,
-    the link is the planning group's tip.
+    """Goal in motion requests, given as the world pose of a link. By default, the link is the planning
+    group's tip.
 
     The planner prefers the exact pose and otherwise uses one within the tolerances: a ball around the
     position, and a rotation by less than one angle, or less than three angles about the goal's axes.
@@ -133,7 +137,7 @@ class PoseGoal:
 @dataclass(frozen=True)
 @checked()
 class NamedGoal:
-    """Goal of a planning request, given as a named state of the planning group (group_state in the SRDF)."""
+    """Goal in motion requests, given as a named state of the planning group (group_state in the SRDF)."""
 
     name: str
     WRITTEN_AS: ClassVar[str] = 'NamedGoal("home")'
@@ -142,8 +146,8 @@ class NamedGoal:
 @dataclass(frozen=True, eq=False)
 @checked()
 class ConstraintGoal:
-    """Goal of a planning request, given as a region:
-    any robot state that satisfies all constraints reaches the goal.
+    """Goal in motion requests, given as a region: any robot state that satisfies all constraints reaches the
+    goal.
 
     The constraints limit position, orientation, region and joint ranges.
     """
@@ -157,7 +161,7 @@ Goal = JointGoal | PoseGoal | NamedGoal | ConstraintGoal
 @dataclass(frozen=True, eq=False)
 @checked()
 class PlanRequest:
-    """Request to plan a collision-free motion of one planning group.
+    """Data type of motion requests: plan a collision-free motion of one planning group.
 
     The defaults are MoveIt's where MoveIt has one.
     """
@@ -191,7 +195,9 @@ class PlanRequest:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CartesianRequest:
-    """Request to move a link through poses on straight lines, as in MoveIt's compute_cartesian_path."""
+    """Data type of Cartesian motion requests: move a link through poses on straight lines, as in MoveIt's
+    compute_cartesian_path.
+    """
 
     group: str
     waypoints: tuple[SE3, ...]  # T_world_link; also a single pose
@@ -214,7 +220,7 @@ class CartesianRequest:
 
 @dataclass(frozen=True, eq=False)
 class SequenceRequest:
-    """Request for a sequence of motions, with a blend radius [m] at the end of each motion.
+    """Data type of requests for a sequence of motions, with a blend radius [m] at the end of each motion.
 
     With radius 0, the robot stops there.
     """

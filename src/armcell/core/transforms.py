@@ -28,7 +28,9 @@ QUAT_NORM_TOLERANCE = 1e-3
 
 
 def skew(v: ArrayLike) -> Array:
-    """Return the skew-symmetric matrix (3, 3) of a vector, for which `skew(v) @ w == cross(v, w)`."""
+    """Return the skew-symmetric matrix (3, 3) of a vector, from which rotations are computed: `skew(v) @ w ==
+    cross(v, w)`.
+    """
     x, y, z = np.asarray(v, dtype=float)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 

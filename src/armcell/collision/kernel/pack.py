@@ -166,8 +166,8 @@ def pack(scene: PlanningScene, robot: RobotPart, world: World) -> tuple[Pack, Na
 
 
 def _ignored(scene: PlanningScene, bodies: tuple[str, ...], objects: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Return a mask (bodies, objects) of the pairs for which the scene allows contact,
-    so that the kernel ignores them.
+    """Return a mask (bodies, objects) of the pairs for which the scene allows contact. The pack passes it to
+    the kernel, which ignores these pairs.
 
     Contact is ignored only for pairs that the scene names.
     """

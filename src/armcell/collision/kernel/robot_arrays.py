@@ -230,8 +230,8 @@ class _Builder:
     def _near_pairs(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any]
     ) -> tuple[I32, dict[str, Any]]:
-        """Return the pairs of robot bodies that can touch, and the kernel's tables of their sphere groups and
-        gaps.
+        """Return, for the robot's kernel arrays, the pairs of bodies that can touch, and tables of their
+        sphere groups and gaps.
 
         The result is cached for all poses of bodies that are not placed for good.
         """
@@ -255,7 +255,7 @@ class _Builder:
         return _near_found.get(key, look)
 
     def _near(self, bodies: list[tuple[str, int]], arrays: dict[str, Any], i: int, j: int) -> _Meeting:
-        """Return the sphere groups of two robot bodies in the kernel that can touch each other."""
+        """Return, for the robot's kernel arrays, the sphere groups of two bodies that can touch each other."""
         f, e = bodies[i][1], bodies[j][1]
         if not (self.placed_for_good[i] and self.placed_for_good[j]):
             return _all_meet(len(self.owns[i].groups), len(self.owns[j].groups))
@@ -460,8 +460,8 @@ class _Builder:
         return np.where(moves, reach[i] + reach[j], 0.0)
 
     def _moves(self, frames: list[int], i: I32, j: I32) -> NDArray[np.bool_]:
-        """Return a mask (pairs, dof) of the joints that move the two
-        robot bodies of a pair relative to each other.
+        """Return a mask (pairs, dof) for the robot's kernel arrays: which joints move the two bodies of a
+        pair relative to each other.
         """
         above = np.zeros((len(frames), len(self.parent)), bool)
         for k, frame in enumerate(frames):
@@ -487,8 +487,8 @@ def _turned_to_z(x: float, y: float, z: float) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class _Meeting:
-    """Index lists that state which sphere groups of one robot body can touch which sphere groups of another
-    robot body.
+    """Arrays of index lists that state which sphere groups of one robot body can touch which sphere groups of
+    another.
 
     Attributes:
         first: (n,) groups of the first body that can touch a group of the second body.
@@ -502,8 +502,8 @@ class _Meeting:
 
     @staticmethod
     def of(meets: NDArray[np.bool_]) -> _Meeting:
-        """Convert a mask (g, h) to index lists. Mask entry [i, j] is True if sphere group i of one robot body
-        can touch sphere group j of another.
+        """Convert a mask (g, h) to index lists for the robot's kernel arrays. Entry [i, j] is True if sphere
+        group i of one robot body can touch group j of another.
         """
         counts = meets.sum(axis=1)
         first = counts.nonzero()[0]
@@ -558,7 +558,9 @@ def _links_of(model: RobotModel, scales: tuple[tuple[str, float], ...]) -> tuple
 
 
 def _near_tables(body_groups: I32, pairs: I32, meeting: list[_Meeting]) -> dict[str, I32]:
-    """Return the kernel's tables of those sphere groups of the robot that can touch each other."""
+    """Return the part of the robot's kernel arrays that states which of its sphere groups can touch each
+    other.
+    """
     lengths = [len(m.first) for m in meeting]
     more = [len(m.second) for m in meeting]
     i, j = body_groups[pairs.T] if len(pairs) else (body_groups[:0],) * 2

@@ -113,14 +113,14 @@ class IKSolver(ABC):
     @abstractmethod
     def _search(self, prepared: ChainData, goal: Array, reference: Array, rng: np.random.Generator | None,
                 outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
-        """Search for distinct IK solutions (n,) that reach a goal (12,), the desired tip pose in the base
-        frame of the chain.
+        """Search for distinct solutions (n,) of an IK solver that reach a goal (12,), the desired tip pose in
+        the base frame of the chain.
 
         The method also counts, in `outside` per joint, the solutions that only this joint's limits forbid.
         """
 
     def _nearer(self, prepared: ChainData, goal: Array, reference: Array, q: Array) -> Array:
-        """Return an IK solution for the same pose as `q` (n,) that is closer to the reference.
+        """Return a solution of the IK solver for the same pose as `q` (n,) that is closer to the reference.
 
         The default implementation returns `q` itself.
         """
@@ -130,7 +130,7 @@ class IKSolver(ABC):
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None,
         equivalents: bool = False,
     ) -> Iterator[Array]:  # fmt: skip
-        """Yield the distinct solutions (n,) of inverse kinematics that are within the joint limits.
+        """Yield the distinct solutions (n,) of an IK solver that are within the joint limits.
 
         Each solution is turned by full turns to be as near as possible to the reference.
 
@@ -149,8 +149,8 @@ class IKSolver(ABC):
     def nearest(
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None, among: int = 16
     ) -> list[Array]:
-        """Return up to `among` distinct IK solutions (n,), sorted by their distance from the reference,
-        nearest first.
+        """Return up to `among` distinct solutions (n,) of an IK solver, sorted by their distance from the
+        reference, nearest first.
 
         See `solutions` for the arguments.
         """
@@ -165,7 +165,7 @@ class IKSolver(ABC):
         is_valid: Validity | None = None,
         rng: np.random.Generator | None = None,
     ) -> IKResult:
-        """Solve inverse kinematics: return the valid solution that is nearest to the reference.
+        """Run the IK solver for a pose: return the valid solution that is nearest to the reference.
 
         Args:
             T_world_tip: desired pose of the tip link.
@@ -219,8 +219,8 @@ class IKSolver(ABC):
         self, q: Array, T_world_tip: SE3, iterations: int = 60, *, wish: Array | None = None,
         bounds: Array | None = None,
     ) -> tuple[float, float, bool]:  # fmt: skip
-        """Improve joint positions `q` (dof,) in place by the numeric descent of an IK solver, so that the tip
-        approaches the desired pose.
+        """Let an IK solver improve joint positions `q` (dof,) in place, so that the tip approaches the
+        desired pose.
 
         Args:
             q: initial positions of all joints; receives the result.
@@ -247,9 +247,7 @@ class IKSolver(ABC):
         return position, angle, ok
 
     def _descend(self, chain: Chain, goal: Array, at: Array, iterations: int) -> tuple[float, float, bool]:
-        """Improve joint positions `at` (n,) in place by an IK descent, as long as the descent makes
-        progress.
-        """
+        """Let an IK solver improve joint positions `at` (n,) in place, as long as the pose error decreases."""
         n = len(at)
         return descend(
             chain.table, chain.bounds, goal, chain.position_weight, iterations, iterations,

@@ -100,16 +100,16 @@ def prism(base: NDArray[np.float64], height: float) -> Mesh:
 
 
 def _area(corners: NDArray[np.float64]) -> float:
-    """Return the signed area [m2] of a prism's base polygon (n, 2). The area is positive if the corners are
-    counterclockwise.
+    """Return the signed area [m2] of the base polygon (n, 2) of a shape_msgs prism. The area is positive if
+    the corners are counterclockwise.
     """
     (x, y), (u, v) = corners.T, np.roll(corners, -1, axis=0).T
     return float(np.sum(x * v - u * y)) / 2
 
 
 def _triangles(base: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Triangulate the base polygon (n, 2) of a prism into n - 2 triangles by ear clipping. The corners must
-    be counterclockwise.
+    """Triangulate the base polygon (n, 2) of a shape_msgs prism into n - 2 triangles by ear clipping. The
+    corners must be counterclockwise.
 
     Source: Meisters 1975.
     """
@@ -209,7 +209,7 @@ ADD, REMOVE, APPEND, MOVE = 0, 1, 2, 3  # moveit_msgs/CollisionObject
 
 
 def frame_of(header: Any) -> str:
-    """Return the frame in the header of a collision object, without a leading slash.
+    """Return the frame in the header of a CollisionObject or another MoveIt message, without a leading slash.
     An empty name stands for the world frame.
     """
     return header.frame_id.lstrip("/") or WORLD

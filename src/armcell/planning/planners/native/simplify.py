@@ -144,8 +144,8 @@ def _round_corners(k, p, count, room, first, last, at, mode, proofs):
 
 @inner_njit
 def _simplified(k, path, count, p, at, first, last, mode, stop, proofs):
-    """Write the simplified path (path[:count]) to p, and prove its edges. Return the new count, or 0 if an
-    edge cannot be proven.
+    """Simplify a path (path[:count]) in the compiled kernel, write the result to p, and prove its edges.
+    Return the new count, or 0 if an edge cannot be proven.
     """
     m, dof = path.shape
     width, length = dof + 1, 1e300
@@ -177,7 +177,7 @@ def _simplified(k, path, count, p, at, first, last, mode, stop, proofs):
 
 @njit(cache=True, nogil=True)
 def simplify_path(handle, path, count, space, index, room, mode, stop):
-    """Simplify a path (path[:count]) in place: shorten the path and round its corners.
+    """Simplify a path (path[:count]) in place, in a compiled kernel: shorten the path and round its corners.
 
     This compiled kernel proves that every edge of the resulting path is collision-free.
 
