@@ -22,7 +22,7 @@ from armcell.model.setup import UrdfPart
 from armcell.scene import PlanningScene
 
 WHEEL = '<cylinder radius="0.03" length="0.03"/>'
-BOX = '<box size="0.06 0.06 0.03"/>'  # around the wheel
+BOX = '<box size="0.03 0.06 0.06"/>'  # around the wheel
 
 
 def solid(size: tuple[float, float, float], at: tuple[float, float, float], mass: float) -> str:
@@ -37,7 +37,8 @@ def solid(size: tuple[float, float, float], at: tuple[float, float, float], mass
 
 def telescope() -> str:
     """URDF of a lift, a telescope of two stages, and a wrist with yaw, pitch and roll. The limit of the pitch
-    is 1.57 for a quarter turn. The pitch link is a wheel; the box around it touches the arm in most states.
+    is 1.57 for a quarter turn. The pitch link is a wheel. The box around it touches the arm in most states,
+    also if all joints of the wrist are zero.
     """
 
     def limit(low: float, high: float) -> str:
@@ -49,7 +50,7 @@ def telescope() -> str:
     on_side = '<origin rpy="0 1.5707963267948966 0"/>'
     wheel = solid((0.02, 0.02, 0.02), (0, 0, 0), 0.1).split("<collision>")[0] + (
         f"<visual>{on_side}<geometry>{WHEEL}</geometry></visual>"
-        f"<collision>{on_side}<geometry>{BOX}</geometry></collision>"
+        f'<collision><origin rpy="0.7854 0 0"/><geometry>{BOX}</geometry></collision>'
     )
     arm = solid((0.05, 0.25, 0.05), (0, -0.125, 0), 0.5)
     shown = arm[arm.index("<collision>") :].replace("collision>", "visual>")
@@ -103,6 +104,7 @@ def test_the_box_around_its_wheel_does_not_block_the_wrist(model):
     assert model.disabled_collisions[frozenset(("inner", "pitch"))] == "Never"
     assert frozenset(("inner", "roll")) not in model.disabled_collisions
     home = PlanningScene.of(model).with_state(model.named_state("arm", "home"))
+    assert all(model.named_states["arm"]["home"][f"{name}_joint"] == 0.0 for name in ("yaw", "pitch", "roll"))
     free = []
     for pitch in np.linspace(-1.5, 0.0, 20):
         q = home.positions.copy()

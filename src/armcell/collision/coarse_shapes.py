@@ -14,7 +14,10 @@ from armcell.model import RobotModel
 from armcell.model.assets import load_mesh
 from armcell.model.robot import Collision, Link
 
-WHOLE = 0.8  # least size of a link's visual shapes, as a fraction of the size of its collision shapes
+WHOLE = (
+    0.5  # least size of a link's visual shapes, as a fraction of the size of its collision shapes along the
+)
+# link's axes: a ball in a tilted box has 0.58
 
 
 def with_visual_shapes(model: RobotModel, links: Iterable[str]) -> RobotModel:
