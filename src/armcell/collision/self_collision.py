@@ -198,9 +198,10 @@ def pairs_of_coarse_shapes(
     """
     tree = kinematic_tree(model)
     near = {pair for pair in often if len(_joints_between(tree, *pair)) <= NEIGHBORS}
+    shown = with_visual_shapes(model, {link for pair in near for link in pair})
+    near = {pair for pair in near if all(shown.links[link].collisions for link in pair)}
     if not near:
         return set()
-    shown = with_visual_shapes(model, {link for pair in near for link in pair})
     found = _Survey(shown, samples, seed).pairs(None)
     apart = ("Never", "Adjacent")  # two neighbors are adjacent if the link between them has no shapes now
     return {p.links for p in found if p.links in near and p.reason in apart and not p.touching}
@@ -327,6 +328,8 @@ class _Survey:
         if self.model.dof == 0:
             return {}, {}
         sampler = PairSampler(KernelChecker(self.scene))
+        if not sampler.pairs:
+            return {}, {}
         numbers, names = np.arange(len(sampler.pairs)), [frozenset(pair) for pair in sampler.pairs]
         first = self.states[:FIRST]
         close = list(sampler.contact_masks(numbers, first, progress=progress))
