@@ -18,13 +18,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from armcell.collision.coarse_shapes import with_visual_shapes
 from armcell.collision.exact_checker import ExactChecker
 from armcell.collision.kernel.block import EVERY, EXACT, PROVE, STILL, check_block, handle_of, ints, lanes_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.frames import workspace
 from armcell.collision.kernel.pack import NEAR, PAIR, PAIRS
 from armcell.collision.kernel.simd import L, pointer
-from armcell.kinematics import kinematic_tree
+from armcell.kinematics import KinematicTree, kinematic_tree
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
 
@@ -129,6 +130,8 @@ class PairSampler:
 
 STARTS, STEPS = 6, 120  # start states of the search per pair, and steps per start state
 MORE = 48  # start states, as long as the search comes closer than CLOSE, and closer with every STARTS states
+HINDERING = 0.3  # fraction of contact samples from which the visual meshes decide whether neighbors touch
+NEIGHBORS = 2  # most joints between neighbors
 PARALLEL = 0.999  # least cosine between the axes of a telescope's joints
 CLOSE, CLOSER = 0.002, 0.95  # [m]; share of the last smallest distance
 
@@ -140,7 +143,8 @@ class LinkPair:
 
     `reason` has the SRDF's values: "Adjacent" (joined by a joint); "Always" and "Never" (in contact in all or
     none of the samples); "Default" (in contact in the default state, in a named state of the gripper that
-    contains both links, or in nearly all samples). It is empty if the pair must be checked.
+    contains both links, or in nearly all samples). It is empty if the pair must be checked. It
+    is also "Never" if only coarse collision shapes touch (`pairs_of_coarse_shapes`).
     """
 
     link_a: str
@@ -172,7 +176,35 @@ def link_pairs(
         seed: seed of the random states.
         progress: callback that receives the number of finished samples.
     """
-    return _Survey(model, samples, seed).pairs(progress)
+    pairs = _Survey(model, samples, seed).pairs(progress)
+    often = [p.links for p in pairs if p.reason in ("", "Default") and p.share >= HINDERING]
+    coarse = pairs_of_coarse_shapes(model, often, samples, seed)
+    return [replace(pair, reason="Never") if pair.links in coarse else pair for pair in pairs]
+
+
+def pairs_of_coarse_shapes(
+    model: RobotModel, often: Iterable[frozenset[str]], samples: int = 10_000, seed: int = 0
+) -> set[frozenset[str]]:
+    """Return the link pairs whose collision shapes touch, but whose visual meshes never do. A bounding box
+    around each link of a wrist makes most states of the wrist collide, although its meshes do not touch.
+
+    Only neighbors can be among them: with more joints between two links, no sampled state may show that their
+    meshes touch.
+
+    Args:
+        often: link pairs whose collision shapes touch in many states.
+        samples: number of states, uniformly distributed within the joint limits.
+        seed: seed of the random states.
+    """
+    tree = kinematic_tree(model)
+    near = {pair for pair in often if len(_joints_between(tree, *pair)) <= NEIGHBORS}
+    shown = with_visual_shapes(model, {link for pair in near for link in pair})
+    near = {pair for pair in near if all(shown.links[link].collisions for link in pair)}
+    if not near:
+        return set()
+    found = _Survey(shown, samples, seed).pairs(None)
+    apart = ("Never", "Adjacent")  # two neighbors are adjacent if the link between them has no shapes now
+    return {p.links for p in found if p.links in near and p.reason in apart and not p.touching}
 
 
 def disabled_collision_pairs(
@@ -296,6 +328,8 @@ class _Survey:
         if self.model.dof == 0:
             return {}, {}
         sampler = PairSampler(KernelChecker(self.scene))
+        if not sampler.pairs:
+            return {}, {}
         numbers, names = np.arange(len(sampler.pairs)), [frozenset(pair) for pair in sampler.pairs]
         first = self.states[:FIRST]
         close = list(sampler.contact_masks(numbers, first, progress=progress))
@@ -404,7 +438,7 @@ class _Survey:
         Returns:
             True if the search finds a contact.
         """
-        columns = self._between(a, b)
+        columns = _joints_between(self.exact.tree, a, b)
         low, high = self.model.lower[columns], self.model.upper[columns]
         least = before = np.inf
         for number, start in enumerate(starts):
@@ -430,10 +464,10 @@ class _Survey:
             least = min(least, best)
         return False
 
-    def _between(self, a: str, b: str) -> list[int]:
-        """Return the indices of the joints that move one link relative to another, to search for
-        self-collisions of the two links.
-        """
-        tree = self.exact.tree
-        apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
-        return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})
+
+def _joints_between(tree: KinematicTree, a: str, b: str) -> list[int]:
+    """Return the indices of the joints that move one link relative to another, to search for self-collisions
+    of the two links.
+    """
+    apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
+    return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})

@@ -130,7 +130,8 @@ class NumericIK(IKSolver):
                 if count == given > 0 and tried == BARREN:
                     return
                 for q in found[given:count]:
-                    yield self._polished(chain, goal, q) if len(q) < POSE_JOINTS else q.copy()
+                    few = self.independent_joints < POSE_JOINTS
+                    yield self._polished(chain, goal, q) if few else q.copy()
                 given = count
 
     def _polished(self, chain: Chain, goal: Array, q: Array) -> Array:
