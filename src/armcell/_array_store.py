@@ -20,7 +20,9 @@ logger = logging.getLogger(__name__)
 
 
 def key_of(*parts: NDArray | str) -> str:
-    """Return a key under which arrays are stored on disk. It depends only on the content of the given values."""
+    """Return a key under which arrays are stored on disk. It depends only on the content of the given
+    values.
+    """
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())

@@ -294,7 +294,9 @@ class InterArmChecker:
         return found
 
     def contact(self, q: ArrayLike) -> Contact | None:
-        """Return the nearest inter-arm pair, that is, two bodies of different arms, at configuration q (n,)."""
+        """Return the nearest inter-arm pair, that is, two bodies of different arms, at configuration q
+        (n,).
+        """
         return self.exact.nearest(q)
 
     def certify(

@@ -234,7 +234,9 @@ class Capsule:
 @dataclass(frozen=True)
 @checked()
 class Cone:
-    """Geometric shape of a cone, whose base is at -length/2 and whose apex is at +length/2 on the z axis [m]."""
+    """Geometric shape of a cone, whose base is at -length/2 and whose apex is at +length/2 on the z axis
+    [m].
+    """
 
     radius: float
     length: float

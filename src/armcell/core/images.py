@@ -66,7 +66,9 @@ class Pinhole:
 
     @property
     def fovy_deg(self) -> float:
-        """Return the vertical field of view [deg] of a camera image whose principal point is at its center."""
+        """Return the vertical field of view [deg] of a camera image whose principal point is at its
+        center.
+        """
         return float(np.rad2deg(2 * np.arctan(self.height / 2 / self.fy)))
 
     def project(self, points: ArrayLike) -> Array:

@@ -135,7 +135,9 @@ class JointPath:
 
     @property
     def length(self) -> float:
-        """Return the length [rad] of a joint path, which is the sum of the Euclidean lengths of its segments."""
+        """Return the length [rad] of a joint path, which is the sum of the Euclidean lengths of its
+        segments.
+        """
         return float(np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).sum())
 
     def reversed(self) -> JointPath:

@@ -190,7 +190,9 @@ class SharedPlant(Protocol):
         ...
 
     def follow_reset(self) -> None:
-        """Let an emulated arm in the rack continue from its initial state after the shared world was reset."""
+        """Let an emulated arm in the rack continue from its initial state after the shared world was
+        reset.
+        """
         ...
 
 

@@ -13,7 +13,9 @@ LONGEST_TRAVEL = 100.0  # [m] longer travels of a linear axis are in millimeters
 
 
 def limit_faults(joint: str, type: str, lower: float, upper: float) -> Iterator[str]:
-    """Yield signs of wrong units, such as degrees, in the limits of a revolute or prismatic joint [rad or m]."""
+    """Yield signs of wrong units, such as degrees, in the limits of a revolute or prismatic joint [rad or
+    m].
+    """
     most = max(abs(lower), abs(upper))
     if type == "revolute" and DEGREES[0] <= most <= DEGREES[1]:
         yield f"the limits of joint {joint!r}, {lower:g} to {upper:g} rad, look like degrees: use radians"

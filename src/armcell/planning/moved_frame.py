@@ -55,7 +55,9 @@ class MovedFrame:
         return positions
 
     def pose(self, q: ArrayLike) -> SE3:
-        """Compute the pose of the moved frame in the world for joint positions q (n,) of its planning group."""
+        """Compute the pose of the moved frame in the world for joint positions q (n,) of its planning
+        group.
+        """
         return self.tree.link_pose(self.full(q), self.link) @ self.T_link_point
 
     def link_target(self, T_world_name: SE3) -> SE3:

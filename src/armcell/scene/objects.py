@@ -82,7 +82,9 @@ class Material:
         return self.friction if self.dynamic_friction is None else self.dynamic_friction
 
     def scaled(self, factor: float) -> Material:
-        """Return a collision object's material with its static and dynamic friction multiplied by `factor`."""
+        """Return a collision object's material with its static and dynamic friction multiplied by
+        `factor`.
+        """
         dynamic = None if self.dynamic_friction is None else self.dynamic_friction * factor
         return replace(self, friction=self.friction * factor, dynamic_friction=dynamic)
 

@@ -105,7 +105,9 @@ class Stepper:
         return self.compiled.follow(targets, steps, tolerance, controls, columns, self.monitor)
 
     def check(self) -> None:
-        """Raise an ArmcellError if the steps have made the simulated world diverge (its state is not finite)."""
+        """Raise an ArmcellError if the steps have made the simulated world diverge (its state is not
+        finite).
+        """
         position, velocity, acceleration = _DIVERGED
         if self._warned(position) or self._warned(velocity) or self._warned(acceleration):
             raise ArmcellError(f"physics diverged at {self._data.time:.3f} s (a state is not finite)")

@@ -228,5 +228,7 @@ class WorkerConnection:
 
     @property
     def state_age(self) -> float:
-        """Return the age [s] of the latest robot state that arrived over the connection to the Franka worker."""
+        """Return the age [s] of the latest robot state that arrived over the connection to the Franka
+        worker.
+        """
         return time.monotonic() - self.history[-1][0] if self.history else float("inf")

@@ -61,7 +61,9 @@ class Load:
 
     @property
     def is_valid(self) -> bool:
-        """Return whether a Franka robot accepts the parameters of a load, apart from the limit of the mass."""
+        """Return whether a Franka robot accepts the parameters of a load, apart from the limit of the
+        mass.
+        """
         tensor = self.inertia.reshape(3, 3)
         if not (self.mass >= 0.0 and np.allclose(tensor, tensor.T)) or np.linalg.norm(self.center) > 0.5:
             return False

@@ -67,7 +67,9 @@ class FrankaPlant:
 
     # --- measurements ---
     def read(self) -> tuple[Array, Array]:
-        """Return the joint positions [rad] and velocities [rad/s], each (7,), measured on the Franka plant."""
+        """Return the joint positions [rad] and velocities [rad/s], each (7,), measured on the Franka
+        plant.
+        """
         data = self.world.mj_state
         return data.qpos[self._qpos] + self._offset, data.qvel[self._dofs]
 

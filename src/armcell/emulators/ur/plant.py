@@ -297,7 +297,9 @@ class FaultyPlant:
         self._offset[joint] = angle
 
     def block(self, joint: int) -> None:
-        """Inject a fault into the UR plant: block a joint at its present position, whatever its motor does."""
+        """Inject a fault into the UR plant: block a joint at its present position, whatever its motor
+        does.
+        """
         self._blocked[joint] = float(self._plant.read()[0][joint])
         if hasattr(self._plant, "world"):
             world: Any = self._plant

@@ -186,7 +186,9 @@ class RtdeServer:
 
     @property
     def clients(self) -> int:
-        """Return the number of clients that are connected to the RTDE server of the emulated UR controller."""
+        """Return the number of clients that are connected to the RTDE server of the emulated UR
+        controller.
+        """
         return sum(link.open for link in self._clients)
 
     def _begin(self, link: TcpConnection) -> None:

@@ -41,7 +41,9 @@ BRANCHES = 8
 
 
 def ur_geometry(chain: Chain) -> F64 | None:
-    """Return the geometry of a UR arm as analytic IK needs it, or None if the arm has a different structure."""
+    """Return the geometry of a UR arm as analytic IK needs it, or None if the arm has a different
+    structure.
+    """
     table = chain.table
     order = table[:, 15].astype(int)
     plain = np.all(table[:, 12] == 1.0) and np.all(table[:, 13] == 0.0) and not np.any(table[:, SLIDE])

@@ -251,7 +251,9 @@ class IKSolver(ABC):
         return position, angle, ok
 
     def _descend(self, chain: Chain, goal: Array, at: Array, iterations: int) -> tuple[float, float, bool]:
-        """Let an IK solver improve joint positions `at` (n,) in place, as long as the pose error decreases."""
+        """Let an IK solver improve joint positions `at` (n,) in place, as long as the pose error
+        decreases.
+        """
         n = len(at)
         return descend(
             chain.table, chain.bounds, goal, chain.position_weight, iterations, iterations,

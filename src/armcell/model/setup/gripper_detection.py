@@ -148,7 +148,9 @@ def find_grippers(model: RobotModel, tips: bool = False, stated: Sequence[Grippe
 
 
 def reasons(model: RobotModel) -> dict[str, str]:
-    """Return why gripper detection failed, with a hint, for each end effector that has no gripper, by name."""
+    """Return why gripper detection failed, with a hint, for each end effector that has no gripper, by
+    name.
+    """
     found = {}
     for end in model.end_effectors.values():
         if end.name not in model.grippers:

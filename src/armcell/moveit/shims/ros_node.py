@@ -68,7 +68,9 @@ def check_running() -> None:
 
 @contextlib.contextmanager
 def ros_errors(kind: type[Exception]) -> Any:
-    """Convert armcell's exceptions in a `with` block to the exceptions that a ROS node would raise in rospy."""
+    """Convert armcell's exceptions in a `with` block to the exceptions that a ROS node would raise in
+    rospy.
+    """
     try:
         yield
     except (ArmcellError, ServiceError) as error:

@@ -370,7 +370,9 @@ def _violated(code: ErrorCode, what: str, violations: list[Violation]) -> Outcom
 
 
 def _direct(problem: Problem, manifold: ConstraintManifold) -> F64 | None:
-    """Plan a straight line to a goal: return it if it is collision-free and satisfies the path constraints."""
+    """Plan a straight line to a goal: return it if it is collision-free and satisfies the path
+    constraints.
+    """
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])

@@ -51,7 +51,9 @@ def change_request(scene: PlanningScene, request: Request, **fields: Any) -> Sce
 
 
 def change_start(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: move some joints in the start state of the request to other positions."""
+    """Apply a diagnosis's suggestion: move some joints in the start state of the request to other
+    positions.
+    """
     start = scene.state.updated(request.start) if request.start is not None else scene.state
     return scene, replace(request, start=start.updated(state))
 

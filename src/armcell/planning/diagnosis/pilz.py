@@ -90,7 +90,9 @@ SPARE = 1.02  # safety factor of the suggested slowdown
 def change_blend_radius(
     scene: PlanningScene, sequence: SequenceRequest, number: int, radius: float
 ) -> tuple[PlanningScene, SequenceRequest]:
-    """Apply a suggested change to a failed Pilz sequence: set the blend radius [m] at the end of one motion."""
+    """Apply a suggested change to a failed Pilz sequence: set the blend radius [m] at the end of one
+    motion.
+    """
     items = list(sequence.items)
     items[number] = (items[number][0], radius)
     return scene, replace(sequence, items=tuple(items))

@@ -38,7 +38,9 @@ class IKBranch:
 
     @property
     def free(self) -> bool:
-        """Return whether an IK solution of a possibly unreachable pose is within limits and free of contact."""
+        """Return whether an IK solution of a possibly unreachable pose is within limits and free of
+        contact.
+        """
         return not self.contacts and not self.beyond
 
     def reason(self, model: RobotModel) -> str:

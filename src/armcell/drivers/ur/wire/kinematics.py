@@ -200,7 +200,9 @@ class ArmDynamics:
 
 
 def tool_jacobian(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> F64:
-    """Return the geometric Jacobian (6, 6) of the TCP in the base frame, from the DH kinematics of a UR arm."""
+    """Return the geometric Jacobian (6, 6) of the TCP in the base frame, from the DH kinematics of a UR
+    arm.
+    """
     return jacobian(dh, q, forward(dh, q, tcp)[:3, 3])
 
 
