@@ -23,7 +23,7 @@ from armcell.collision.exact_checker import ExactChecker
 from armcell.collision.kernel.block import EVERY, EXACT, PROVE, STILL, check_block, handle_of, ints, lanes_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.frames import workspace
-from armcell.collision.kernel.pack import NEAR, PAIR, PAIRS
+from armcell.collision.kernel.pack import GAP_GRID, GAP_TABLE, NEAR, PAIR, PAIRS
 from armcell.collision.kernel.simd import L, pointer
 from armcell.kinematics import KinematicTree, kinematic_tree
 from armcell.model import RobotModel
@@ -63,7 +63,8 @@ def _ask_pairs(handle, pairs, q, masks):
     """
     k = pointer(handle)
     I, w = ints(k), lanes_of(k)
-    first_pair, first_near, dof = I[PAIR], I[NEAR], q.shape[1]
+    first_pair, first_near, first_table, first_grid = I[PAIR], I[NEAR], I[GAP_TABLE], I[GAP_GRID]
+    dof = q.shape[1]
     I[PAIRS] = np.int32(1)
     for block in range(masks.shape[1]):
         for lane in range(L):
@@ -76,9 +77,12 @@ def _ask_pairs(handle, pairs, q, masks):
         for p in range(len(pairs)):
             I[PAIR] = np.int32(first_pair + 2 * pairs[p])
             I[NEAR] = np.int32(first_near + pairs[p])
+            I[GAP_TABLE] = np.int32(first_table + 5 * pairs[p])
+            I[GAP_GRID] = np.int32(first_grid + 6 * pairs[p])
             masks[p, block] = np.uint16(check_block(k, EVERY, mode))
             mode |= np.int64(STILL)
     I[PAIR], I[NEAR] = np.int32(first_pair), np.int32(first_near)
+    I[GAP_TABLE], I[GAP_GRID] = np.int32(first_table), np.int32(first_grid)
 
 
 class PairSampler:
