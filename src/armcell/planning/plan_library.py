@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache, partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -204,7 +205,7 @@ class PlanLibrary:
             checker = arm_clearance.apply_to(checker)
         motions = [np.vstack([start, s.waypoints[1:]]) for s in near]
         for waypoints in motions:
-            if checker.certify(waypoints, padded=True, evidence=False).free:
+            if _is_free(checker, waypoints):
                 result = _finished(checker, scene, request, waypoints, began, "hit")
                 if result is not None:
                     self.statistics.hits += 1
@@ -333,6 +334,15 @@ def _reaches(scene: PlanningScene, request: PlanRequest, names: tuple[str, ...],
     return False
 
 
+def _is_free(checker: KernelChecker, waypoints: Array) -> bool:
+    """Return whether a motion of the plan library is as free as a planned one: proven collision-free, and
+    with padding at samples. With a proof of the padding, some planned motions would be repaired in every use.
+    """
+    return checker.certify(waypoints, evidence=False).free and all(
+        checker.edge_is_free(a, b) for a, b in pairwise(waypoints)
+    )
+
+
 def _repaired(
     checker: KernelChecker, scene: PlanningScene, request: PlanRequest, waypoints: Array, began: float,
     cancel: threading.Event | None,
@@ -345,7 +355,7 @@ def _repaired(
         return None
     kept, i = [waypoints[0]], 0
     while i < len(waypoints) - 1:
-        if free[i + 1] and checker.certify(waypoints[i : i + 2], padded=True, evidence=False).free:
+        if free[i + 1] and _is_free(checker, waypoints[i : i + 2]):
             i += 1
             kept.append(waypoints[i])
             continue
