@@ -25,6 +25,7 @@ ROUNDING = 1e-4  # [m] subtracted from every gap
 SAMPLES = 200
 SHARE = 0.05  # smallest share of sampled states with an undecided gap that justifies a table
 MOST = 15_000  # pairs that need more measured states have no table: measuring would take seconds
+MOST_TRIANGLES = 4000  # of both bodies; between larger meshes, one distance takes milliseconds
 NEVER = 1e9  # period of joint values that do not repeat
 VERSION = 3  # increase when the tables change, to invalidate the disk cache
 

@@ -26,10 +26,10 @@ from armcell.collision.kernel.bodies import (
 )
 from armcell.collision.kernel.convex_pieces import ConvexPieces, concatenate
 from armcell.collision.kernel.lru_cache import LruCache
-from armcell.core import SO3
+from armcell.core import SO3, Mesh
 from armcell.kinematics import kinematic_tree
 from armcell.kinematics.tree import REVOLUTE
-from armcell.model import RobotModel
+from armcell.model import Link, RobotModel
 from armcell.scene import PlanningScene
 
 F32 = NDArray[np.float32]
@@ -338,7 +338,12 @@ class _Builder:
         each other, or if their sphere covers decide about them. The tables are cached on disk.
         """
         branches, columns = self._between(bodies[i][1], bodies[j][1])
-        if not (self.placed_for_good[i] and self.placed_for_good[j]) or len(columns) not in (1, 2):
+        links = [self.model.links[bodies[b][0]] for b in (i, j) if bodies[b][0] in self.model.links]
+        if (
+            not (self.placed_for_good[i] and self.placed_for_good[j])
+            or len(columns) not in (1, 2)
+            or sum(map(_triangles, links)) > gap_tables.MOST_TRIANGLES
+        ):
             return None
         motion = self._relative_motion(branches, columns, arrays, i, j)
         two = 2 - len(columns)  # a missing second joint has no range
@@ -510,6 +515,10 @@ class _Meeting:
         counts = meets.sum(axis=1)
         first = counts.nonzero()[0]
         return _Meeting(*(a.astype(np.int32) for a in (first, counts[first], meets.nonzero()[1])))
+
+
+def _triangles(link: Link) -> int:
+    return sum(len(c.shape.faces) for c in link.collisions if isinstance(c.shape, Mesh))
 
 
 def _fine_links(model: RobotModel) -> set[str]:
