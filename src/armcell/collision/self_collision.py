@@ -298,15 +298,17 @@ class _Survey:
         numbers, names = np.arange(len(sampler.pairs)), [frozenset(pair) for pair in sampler.pairs]
         first = self.states[:FIRST]
         close = list(sampler.contact_masks(numbers, first, progress=progress))
-        open_ = np.array([name not in self.adjacent for name in names], dtype=bool)
-        further = numbers[open_ & [rows.mean() <= OFTEN for rows in close]]
+        # More samples of adjacent links cannot change their reason.
+        searched = np.array([name not in self.adjacent for name in names], dtype=bool)
+        rare = np.array([rows.mean() <= OFTEN for rows in close], dtype=bool)
+        further = numbers[searched & rare]
         tell = progress and (lambda done: progress(len(first) + done))
         for n, rows in zip(
             further, sampler.contact_masks(further, self.states[FIRST:], progress=tell), strict=True
         ):
             close[n] = np.concatenate([close[n], rows])
         counts = np.array([rows.sum() for rows in close], dtype=int)
-        for n in numbers[open_].tolist():
+        for n in numbers[searched].tolist():
             a, b = sampler.pairs[n]
             # The kernel's solids are slightly larger than the meshes, so the meshes decide.
             states = self.states[np.flatnonzero(close[n])]
@@ -315,7 +317,7 @@ class _Survey:
             elif counts[n] == len(close[n]):
                 counts[n] -= not all(self._touch(a, b, q) for q in states[:ALWAYS_SAMPLES])
         unproven = dict.fromkeys(names, np.zeros((0, self.model.dof)))
-        for n, near in self._near(sampler, numbers[open_ & (counts == 0)]).items():
+        for n, near in self._near(sampler, numbers[searched & (counts == 0)]).items():
             unproven[names[n]] = self.states[self._nearest(sampler, n, near)]
         return {names[n]: (int(counts[n]), len(close[n])) for n in numbers}, unproven
 
