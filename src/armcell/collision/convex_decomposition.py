@@ -172,6 +172,8 @@ def _best_cut(part: MeshPart, whole: float, least: float) -> _CutMesh:
 
     The saving is less than `least` [m^3] if no cut saves as much.
     """
+    if whole < least:
+        return _CutMesh()
     low, high = part.points.min(0), part.points.max(0)
     planes = low[:, None] + np.array(_FRACTIONS) * (high - low)[:, None]
     bounds = _largest_savings(part, planes, whole).ravel()
