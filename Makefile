@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check prepare fuzz bench bench-campaign bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual bench-grasp test-long test-interop test-realtime lint format clean FORCE
+.PHONY: help demo test check prepare wheel fuzz bench bench-campaign bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual bench-grasp test-long test-interop test-realtime lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -66,6 +66,9 @@ check: prepare ## set up, then run the quick tests
 
 prepare: $(VENV)/.stamp ## set up, then compile the kernels and fit the covers that tests use
 	$(PY) -m tests.prepare
+
+wheel: $(VENV)/.stamp ## set up, then build a wheel in dist/ with compiled kernels for common processors (KEEP=1: keep those for other Pythons)
+	$(PY) -m tools.build_wheel $(if $(KEEP),--keep)
 
 fuzz: $(VENV)/.stamp ## set up, then throw damaged input at every parser and a million damaged frames at the wires (INPUTS=, FRAMES=, SEED=)
 	$(PY) -m tests.fuzz $(if $(INPUTS),--inputs $(INPUTS)) $(if $(FRAMES),--frames $(FRAMES)) $(if $(SEED),--seed $(SEED))

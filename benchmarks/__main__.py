@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "benchmarks.md"
 KEPT = ROOT / "benchmarks" / "kept.json"
 PACKAGES = (
-    "mujoco", "coal", "ompl", "numba", "numpy", "pin", "toppra", "ruckig", "roboplan", "ray",
+    "mujoco", "coal", "ompl", "numba", "numpy", "pin", "toppra", "ruckig", "roboplan", "vamp-planner", "ray",
     "opencv-python-headless",
 )  # fmt: skip
 LONG = 20  # lines that the page shows without a click; of more, those that are not indented

@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,7 @@ RINGS = 0.5, 1.0  # distance of a box's center from the shoulder, in reaches
 FREE = 0.02  # clearance of the start state, in reaches
 STEP = 0.01  # [rad or m] largest step of a joint between two checked states
 CONTROL = 1000  # random states on which the checks are compared
+SWEEP = 200  # positions of the first joint in which its link must be free of boxes
 RANGE = np.pi  # [rad] goals of a joint with more than one turn are within this of zero
 
 
@@ -122,10 +123,26 @@ def clutter(model: RobotModel, arm: Group, seed: int = 0) -> PlanningScene:
         larger = CollisionObject.single(
             "room", Box(*(size + 2 * FREE * reach)), SE3.from_xyz_rpy(center, rpy)
         )
-        if _touches_robot(PlanningScene.of(model, q, [larger]), q):
+        if _touches_robot(PlanningScene.of(model, q, [larger]), q) or _blocks(model, arm, box, q):
             continue
         scene, number = scene.with_object(box), number + 1
     return scene
+
+
+def _blocks(model: RobotModel, arm: Group, box: CollisionObject, q: Array) -> bool:
+    """Whether a box touches links that only the arm's first joint moves, such as the carriage of a lift: no
+    motion to the other side of such a box exists.
+    """
+    tree, (first, *others) = kinematic_tree(model), model.columns(arm.joint_names)
+    bare = {}
+    for name, link in model.links.items():
+        moving = {int(tree.column[j]) for j in tree.path_to(name)}
+        bare[name] = link if first in moving and not moving & set(others) else replace(link, collisions=())
+    only = replace(model, links=bare, disabled_collisions={})
+    checker = ExactChecker(PlanningScene.of(only, q, [box]))
+    states = np.tile(q, (SWEEP, 1))
+    states[:, first] = np.linspace(max(model.lower[first], -RANGE), min(model.upper[first], RANGE), SWEEP)
+    return any(box.name in pair for state in states for pair in checker.touching(state))
 
 
 def _touches_robot(scene: PlanningScene, q: Array) -> bool:

@@ -8,8 +8,8 @@ import os
 import platform
 import sys
 import time
-from importlib.metadata import version
-from importlib.util import find_spec
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,13 @@ from rich.table import Table
 
 from benchmarks.planning import commands, memory, report
 from benchmarks.planning.bars import lines
-from benchmarks.planning.peers import NATIVE, OmplCoal, all_peers
+from benchmarks.planning.peers import FAST, NATIVE, OmplCoal, all_peers
 from benchmarks.planning.pose_goals import pose_goals
 from benchmarks.planning.problems import load
 from benchmarks.planning.side_by_side import Settings, compare
 
 ROOT = Path(__file__).parents[2]
-MODULES = {"pin": "pinocchio"}  # where they are not named like their package
+PACKAGES = ("vamp-planner", "roboplan", "ompl", "pin", "coal", "toppra", "numba")
 SLOW_EVERY = 5  # the planner with a Python callback on exact meshes takes every n-th problem
 
 
@@ -61,9 +61,11 @@ def machine() -> str:
         cpu = next(s.split(":", 1)[1].strip() for s in info.splitlines() if s.startswith("model name"))
     except (OSError, StopIteration):
         cpu = platform.processor() or platform.machine()
-    packages = ("roboplan", "ompl", "pin", "coal", "toppra", "numba")
-    names = ", ".join(f"{name} {version(name)}" for name in packages if find_spec(MODULES.get(name, name)))
-    return f"{cpu} ({os.cpu_count()} cores), Python {platform.python_version()}, {names}"
+    found = [f"{cpu} ({os.cpu_count()} cores)", f"Python {platform.python_version()}"]
+    for package in PACKAGES:
+        with suppress(PackageNotFoundError):
+            found.append(f"{package} {version(package)}")
+    return ", ".join(found)
 
 
 def _side_by_side(results: dict[str, Any], folder: Path, quick: bool) -> None:
@@ -72,14 +74,16 @@ def _side_by_side(results: dict[str, Any], folder: Path, quick: bool) -> None:
         results["missing"]["mbm"] = reason
         print(f"Skipping MotionBenchMaker: {reason}", file=sys.stderr)
         return
-    for robot in ("panda", "ur5") if quick else ("panda", "ur5", "baxter"):
+    for robot in ("panda", "ur5") if quick else report.ROBOTS:
+        if not (folder / f"mbm_{robot}.json.gz").is_file():
+            continue
         data, problems = load(folder, robot, 1 if quick else 0)
         peers = [(peer, SLOW_EVERY if peer.name == OmplCoal.name else 1) for peer in all_peers()]
         settings = Settings()
         if quick:
             settings = Settings(seconds=2.0, repeat=1, sample=1)
-        elif robot == "baxter":  # the others need seconds for each problem
-            peers = [(peer, 1) for peer in all_peers() if peer.name == NATIVE]
+        elif robot not in ("panda", "ur5"):  # the others need seconds for each problem
+            peers = [(peer, 1) for peer in all_peers() if peer.name in FAST]
             settings = Settings(seconds=2.0, end=150.0)
         began = time.monotonic()
         rows = compare(data, problems, peers, settings)

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.planning.peers import KERNEL_OMPL, NATIVE
+from benchmarks.planning.peers import KERNEL_OMPL, NATIVE, VAMP
 
 Results = dict[str, Any]
 Row = dict[str, Any]
+Judge = Callable[[Results], tuple[str, bool]]
 ROBOPLAN = "roboplan"
+TOTAL_OF_VAMPS = "plan + simplify + certify as a multiple of VAMP's plan + simplify, median / p95"
 
 
 @dataclass(frozen=True)
@@ -114,19 +116,40 @@ def _total(results: Results) -> tuple[str, bool]:
     return f"{us(p50)} / {us(p95)}", p50 <= 250 and p95 <= 1500
 
 
-def _against_roboplan(results: Results) -> tuple[str, bool]:
-    ours = {(r["family"], r["index"]): r for r in solved(rows_of(results, "panda"))}
-    if not any(r["planner"] == ROBOPLAN for r in results["rows"]):
-        raise Skipped("roboplan is not installed")
-    theirs = {(r["family"], r["index"]): r for r in solved(rows_of(results, "panda", ROBOPLAN))}
+def _beside(results: Results, robot: str, planner: str) -> tuple[list[float], list[float]]:
+    """Total times [us] of armcell and of another planner, on the problems that both solved.
+
+    Raises:
+        Skipped: there are none.
+    """
+    ours = {(r["family"], r["index"]): total_us(r) for r in solved(rows_of(results, robot))}
+    if not any(r["planner"] == planner for r in results["rows"]):
+        raise Skipped(f"{planner} is not installed")
+    theirs = {(r["family"], r["index"]): total_us(r) for r in solved(rows_of(results, robot, planner))}
     both = sorted(ours.keys() & theirs.keys())
     if not both:
         raise Skipped("no problem was solved by both")
-    mine, other = (middle([total_us(d[k]) for k in both])[0] for d in (ours, theirs))
-    return f"{other / mine:.1f} x (roboplan {us(other)}, {len(both)} problems)", other / mine >= 50
+    return [ours[k] for k in both], [theirs[k] for k in both]
 
 
-def _length(robot: str, bar: float) -> Callable[[Results], tuple[str, bool]]:
+def _against_roboplan(results: Results) -> tuple[str, bool]:
+    ours, theirs = _beside(results, "panda", ROBOPLAN)
+    mine, other = middle(ours)[0], middle(theirs)[0]
+    return f"{other / mine:.1f} x (roboplan {us(other)}, {len(ours)} problems)", other / mine >= 50
+
+
+def _against_vamp(robot: str, bar: float, bar_p95: float) -> Judge:
+    def judge(results: Results) -> tuple[str, bool]:
+        ours, theirs = _beside(results, robot, VAMP)
+        (p50, p95), (other, other_p95) = middle(ours), middle(theirs)
+        ratio, ratio_p95 = p50 / other, p95 / other_p95
+        times = f"{us(p50)} / {us(p95)}; VAMP {us(other)} / {us(other_p95)}; {len(ours)} problems"
+        return f"{ratio:.2f} / {ratio_p95:.2f} ({times})", ratio <= bar and ratio_p95 <= bar_p95
+
+    return judge
+
+
+def _length(robot: str, bar: float) -> Judge:
     def judge(results: Results) -> tuple[str, bool]:
         good = solved(rows_of(results, robot))
         length = float(np.mean([r["length"] for r in good])) if good else np.inf
@@ -160,7 +183,7 @@ def _kernel_ompl(results: Results) -> tuple[str, bool]:
     return f"{us(p50)}, {len(solved(rows))}/{len(rows)} solved", p50 <= 1000
 
 
-def _ik(robot: str, bar: float, bar_p95: float) -> Callable[[Results], tuple[str, bool]]:
+def _ik(robot: str, bar: float, bar_p95: float) -> Judge:
     def judge(results: Results) -> tuple[str, bool]:
         s = _section(results, f"ik_{robot}")["summary"]
         p50, p95, share = s["compiled_us_median"], s["compiled_us_p95"], s["solved_percent"]
@@ -198,11 +221,15 @@ def _memory(results: Results) -> tuple[str, bool]:
     return f"{text}, {m['solved']}/{m['tasks']} solved", m["mb"] <= 300 and m["solved"] == m["tasks"]
 
 
-BARS: list[tuple[str, str, Callable[[Results], tuple[str, bool]]]] = [
+BARS: list[tuple[str, str, Judge]] = [
     ("MBM panda and ur5: all solved; exact re-check at 0.002 rad", "all; 0 touching", _all_solved),
     ("panda: plan, median / p95", "60 us / 700 us", _plan),
     ("panda: plan + simplify + certify, median / p95", "250 us / 1.5 ms", _total),
     ("panda: the same beside roboplan's plan + shortcut, medians", "50 x faster", _against_roboplan),
+    (f"panda: {TOTAL_OF_VAMPS}", "1.0 / 1.5", _against_vamp("panda", 1.0, 1.5)),
+    (f"ur5: {TOTAL_OF_VAMPS}", "2.0 / 3.0", _against_vamp("ur5", 2.0, 3.0)),
+    (f"Baxter: {TOTAL_OF_VAMPS}", "1.2 / none", _against_vamp("baxter", 1.2, np.inf)),
+    (f"Fetch: {TOTAL_OF_VAMPS}", "2.5 / none", _against_vamp("fetch", 2.5, np.inf)),
     ("panda: mean length", "5.2 rad", _length("panda", 5.2)),
     ("ur5: mean length", "6.7 rad", _length("ur5", 6.7)),
     ("Baxter, both arms, 14 joints: solved, plan median", "99 %; 8 ms", _baxter),

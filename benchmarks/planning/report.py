@@ -14,8 +14,13 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
-ROBOTS = {"panda": "Panda, 7 joints", "ur5": "UR5, 6 joints", "baxter": "Baxter, 14 joints"}
-COLORS = ("#1f6f8b", "#d1495b", "#edae49", "#66a182")
+ROBOTS = {
+    "panda": "Panda, 7 joints",
+    "ur5": "UR5, 6 joints",
+    "baxter": "Baxter, 14 joints",
+    "fetch": "Fetch, 8 joints",
+}
+COLORS = ("#1f6f8b", "#d1495b", "#edae49", "#66a182", "#5b4b8a")
 Row = dict[str, Any]
 
 

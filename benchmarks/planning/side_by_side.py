@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Any
 from rich.progress import track
 
 from armcell.cli.bench_plans import path_length
-from benchmarks.planning.peers import NATIVE, Peer, Result
+from benchmarks.planning.peers import FAST, NATIVE, Peer, Result, UnsupportedRobot
 from benchmarks.planning.pinocchio_world import PinocchioWorld
 from benchmarks.planning.problems import Problem, Robot
 from benchmarks.planning.recheck import first_contact
@@ -27,7 +28,7 @@ class Settings:
     repeat: int = 3  # runs per problem, the fastest counts; the same rule for every planner ...
     enough: float = 0.1  # [s] ... and none once they took this long together: noise matters no more
     sample: int = 5  # planners other than armcell's are re-checked on every n-th problem of the order
-    budget: float = 200.0  # [s] CPU time after which only armcell's native planner goes on ...
+    budget: float = 200.0  # [s] CPU time after which only the fast planners go on ...
     end: float = 400.0  # [s] ... and after which no new problem is begun
 
 
@@ -40,12 +41,16 @@ def compare(
         peers: with each, on every how many-th problem of the order it runs.
     """
     world = PinocchioWorld(robot)
-    peers = list(peers)
+    ready: list[tuple[Peer, int]] = []
     logger = logging.getLogger("armcell.model")
     before = logger.level
     logger.setLevel(logging.ERROR)  # the visual meshes that are missing would be said for every planner
-    for peer, _ in peers:
-        peer.load(robot)
+    for peer, every in peers:
+        try:
+            peer.load(robot)
+            ready.append((peer, every))
+        except UnsupportedRobot as reason:
+            print(f"Leaving out {peer.name}: {reason}", file=sys.stderr)
     logger.setLevel(before)
     rows: list[Row] = []
     began = time.process_time()
@@ -55,8 +60,8 @@ def compare(
             break
         world.set_problem(problem)
         touching = world.contact(problem.start) or world.contact(problem.goal)
-        for peer, every in peers:
-            if i % every or (spent > settings.budget and peer.name != NATIVE):
+        for peer, every in ready:
+            if i % every or (spent > settings.budget and peer.name not in FAST):
                 continue
             row = {"robot": robot.name, "planner": peer.name, "family": problem.family,
                    "index": problem.index, "solved": False}  # fmt: skip

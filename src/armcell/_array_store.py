@@ -20,8 +20,8 @@ logger = logging.getLogger(__name__)
 
 
 def key_of(*parts: NDArray | str) -> str:
-    """Return a cache key that depends only on the content of the given values; arrays are stored on disk
-    under this key.
+    """Return a key under which arrays are stored on disk. It depends only on the content of the given
+    values.
     """
     digest = hashlib.sha256()
     for part in parts:
@@ -31,8 +31,8 @@ def key_of(*parts: NDArray | str) -> str:
 
 
 def recall(kind: str, key: str) -> dict[str, NDArray] | None:
-    """Return arrays that an earlier process computed and stored in the disk cache, or None if the cache has
-    no readable and trusted file for them.
+    """Return arrays that an earlier process stored on disk, or None if there is no readable and trusted file
+    for them.
 
     A file is trusted if only the current user can have written it.
     """
@@ -47,7 +47,7 @@ def recall(kind: str, key: str) -> dict[str, NDArray] | None:
 
 
 def keep(kind: str, key: str, **arrays: NDArray) -> None:
-    """Write computed arrays to the disk cache, so that later processes can read them. The write is atomic.
+    """Store computed arrays on disk, so that later processes can read them. The write is atomic.
 
     If the folder is not writable, the function logs the error, and the next process computes the arrays
     again.
@@ -65,7 +65,7 @@ def keep(kind: str, key: str, **arrays: NDArray) -> None:
 def recall_or_compute(
     kind: str, key: str, compute: Callable[[], Mapping[str, NDArray]]
 ) -> Mapping[str, NDArray]:
-    """Return arrays from the disk cache; if they are missing, compute and store them.
+    """Return arrays from the store on disk. If they are missing, compute and store them.
 
     If several processes or threads need the same arrays, one computes them while the others wait.
     """
@@ -81,7 +81,9 @@ def recall_or_compute(
 
 @contextlib.contextmanager
 def _locked(file: Path) -> Iterator[None]:
-    """Hold an exclusive lock on a file; without a writable folder or locks (Windows), hold none."""
+    """Hold an exclusive lock on the file of a stored array. Without a writable folder or without locks
+    (Windows), hold no lock.
+    """
     try:
         import fcntl
 

@@ -15,16 +15,19 @@ import atexit
 import hashlib
 import logging
 import os
-import platform
 import re
 import shutil
 import stat
 import sys
+import sysconfig
 import tempfile
 import time
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import MAGIC_NUMBER
 from pathlib import Path
+
+from armcell._kernel_pack import matching_pack, use_pack
 
 KEPT_DAYS = 30
 COMPILES = re.compile(rb"^\s*(from|import)\s+numba\b|@(numba\.)?(inner_)?njit", re.MULTILINE)
@@ -162,8 +165,8 @@ def trusted_file(file: Path) -> bool:
 
 
 def source_hash() -> str:
-    """Return a hash that identifies a version of the kernel cache: it covers Python, Numba, the processor,
-    and all sources with compiled code.
+    """Return a hash that identifies a version of the kernel cache: it covers Python's bytecode, the platform,
+    Numba, and all sources with compiled code. Numba's cache itself tells processors apart.
     """
     digest = hashlib.sha256()
     folders = os.walk(os.path.dirname(__file__))  # a third of the time of Path.rglob
@@ -178,7 +181,8 @@ def source_hash() -> str:
             digest.update(version(package).encode())
         except PackageNotFoundError:
             digest.update(b"none")
-    digest.update(f"{sys.version}{platform.machine()}{platform.processor()}".encode())
+    python = f"{sys.implementation.cache_tag} {MAGIC_NUMBER.hex()} {sysconfig.get_platform()}"
+    digest.update(python.encode())
     return digest.hexdigest()[:16]
 
 
@@ -218,19 +222,19 @@ def _drop_old(used: Path) -> None:
 
 
 def use_cache() -> Path:
-    """Select the folder in which Numba caches kernels compiled from
-    the current sources, and return this folder.
+    """Select the folder in which Numba caches kernels compiled from the current sources, and return this
+    folder. If armcell ships a kernel pack for the current sources and this processor, the folder contains it.
 
     `NUMBA_CACHE_DIR` has priority. If another user may have written into the folder, a private folder is used
     instead, and a warning is logged.
     """
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(given) if given else cache_root() / "kernels" / source_hash()
+    given, current = os.environ.get("NUMBA_CACHE_DIR"), source_hash()
+    folder = Path(given) if given else cache_root() / "kernels" / current
     reason = doubt(folder, contents=True) if writable(folder) else ""
     if reason is not None:
         if reason:
             _say_unused(folder, reason, private_folder())
-        folder = private_folder() / "kernels" / source_hash()
+        folder = private_folder() / "kernels" / current
         if not writable(folder) or doubt(folder, contents=True) is not None:
             folder = Path(tempfile.mkdtemp(prefix="once-", dir=folder.parent))
     folder = folder.resolve()  # Numba must not follow a link that is changed later
@@ -239,4 +243,6 @@ def use_cache() -> Path:
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(folder)
+    if pack := matching_pack(current):
+        use_pack(pack, folder)
     return folder

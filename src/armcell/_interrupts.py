@@ -121,7 +121,7 @@ def check() -> None:
 
 
 def sleep(seconds: float) -> None:
-    """Sleep like `time.sleep`, but wake up early when SIGINT or SIGTERM arrives.
+    """Sleep like `time.sleep`, but wake up early when the program is interrupted (SIGINT or SIGTERM).
 
     Raises:
         Interrupted: see `check`.
@@ -432,7 +432,7 @@ def _handled() -> bool:
 
 
 def _raise_again() -> None:
-    """Send a signal to the main thread, so that the signal handler raises `Interrupted` again."""
+    """Send a signal to the main thread, so that the handler of interrupts raises `Interrupted` again."""
     number = next((n for n in SIGNALS if signal.getsignal(n) is _handler), None)
     if number is not None:
         _state.again = True

@@ -20,8 +20,8 @@ from armcell import _interrupts
 
 
 class _Raw(io.FileIO):
-    """Raw file to which standard output writes.
-    It remembers the first write error and discards all later output.
+    """Raw file behind the standard output stream. It remembers the first write error and discards all later
+    output.
     """
 
     error: OSError | None = None

@@ -6,12 +6,15 @@ import gzip
 import itertools
 import json
 import re
+import sys
+import types
 
 import numpy as np
 import pytest
 from benchmarks.planning import commands, memory
 from benchmarks.planning.__main__ import main
 from benchmarks.planning.bars import lines
+from benchmarks.planning.peers import VAMP, all_peers
 from benchmarks.planning.pinocchio_world import PinocchioWorld
 from benchmarks.planning.problems import load
 from benchmarks.planning.recheck import first_contact
@@ -96,7 +99,34 @@ def test_without_problems_the_lines_say_where_they_are_expected(tmp_path, capsys
     assert "MBM=/path" in said.err
     verdicts = [line.verdict for line in lines(json.loads(out.read_text()))]
     assert all(verdict.startswith("skipped: ") for verdict in verdicts)
-    assert sum("MBM=/path" in verdict for verdict in verdicts) == 8
+    assert sum("MBM=/path" in verdict for verdict in verdicts) == 12
+
+
+@pytest.mark.parametrize("module", [None, types.ModuleType("vamp")])  # none, and the audio package
+def test_vamp_is_left_out_where_its_import_fails(module, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "vamp", module)
+    monkeypatch.delitem(sys.modules, "benchmarks.planning.peers.vamp", raising=False)
+    assert VAMP not in [peer.name for peer in all_peers()]
+    assert "Leaving out VAMP: " in capsys.readouterr().err
+
+
+def test_the_comparison_with_vamp_uses_the_problems_that_both_solved():
+    def row(planner, index, ms, solved=True):
+        return {"robot": "ur5", "planner": planner, "family": "f", "index": index, "solved": solved,
+                "plan_us": 1000.0 * ms, "simplify_us": 0.0, "certify_us": 0.0, "length": 1.0}  # fmt: skip
+
+    def judged(*rows):
+        results = {"rows": rows, "problems": {"ur5": {"begun": 3, "all": 3}}}
+        (line,) = (line for line in lines(results) if line.what.startswith("ur5") and "VAMP" in line.what)
+        return line
+
+    ours = [row("armcell", i, ms) for i, ms in ((1, 3.0), (2, 3.0), (3, 90.0))]
+    theirs = [row("VAMP", 1, 2.0), row("VAMP", 2, 2.0), row("VAMP", 3, 0.0, solved=False)]
+    line = judged(*ours, *theirs)
+    assert line.verdict == "hit"
+    assert line.measured == "1.50 / 1.50 (3 ms / 3 ms; VAMP 2 ms / 2 ms; 2 problems)"
+    assert judged(*ours, row("VAMP", 3, 20.0)).verdict == "MISSED"
+    assert judged(*ours).verdict == "skipped: VAMP is not installed"
 
 
 @pytest.mark.long

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.model.helpers import random_positions
+from tests.model.helpers import collision, joint, link, model_of, random_positions
 from tests.sizes import ROBOTS, sizes
 
 from armcell.collision import ExactChecker, disabled_collision_pairs
@@ -76,8 +76,6 @@ def test_the_same_seed_gives_the_same_pairs():
 
 
 def test_a_pair_that_always_touches_is_told():
-    from tests.model.helpers import collision, joint, link, model_of
-
     ball = collision('<sphere radius="0.2"/>')
     model = model_of(
         link("a", ball), link("b", collision('<sphere radius="0.05"/>')), link("c", ball),
@@ -103,3 +101,32 @@ def test_stages_of_a_telescope_are_adjacent(tmp_path, second, nested):
     found = disabled_collision_pairs(load_robot(tmp_path / "telescope.urdf"), samples=1000)
     assert (found.get(frozenset(("base", "inner"))) == "Adjacent") == nested
     assert found[frozenset(("outer", "inner"))] == "Adjacent"
+
+
+@pytest.mark.parametrize(
+    ("visual", "reason"),
+    [
+        ('<cylinder radius="0.05" length="0.02"/>', "Never"),
+        ('<box size="0.1 0.1 0.02"/>', None),  # the collision shape is exact
+        ('<sphere radius="0.02"/>', None),  # only a part of the wheel
+        ("", None),
+    ],
+)
+@pytest.mark.parametrize("between", (True, False))
+def test_visual_meshes_decide_whether_coarse_neighbors_touch(visual, reason, between):
+    """A wheel above a plate: in half of the states, a corner of the box around the wheel is in the plate."""
+    plate = '<box size="0.2 0.2 0.02"/>'
+    on_side = '<origin rpy="1.5707963267948966 0 0"/>'
+    wheel = f'<collision>{on_side}<geometry><box size="0.1 0.1 0.02"/></geometry></collision>'
+    drawn = f"<visual>{on_side}<geometry>{visual}</geometry></visual>" if visual else ""
+    shown = f"<visual><geometry>{plate}</geometry></visual>"
+    full = '<limit lower="-3" upper="3" velocity="1" effort="1"/>'
+    model = model_of(
+        link("plate", collision(plate) + shown), link("hub", collision('<sphere radius="0.002"/>')),
+        link("wheel", wheel + drawn),
+        joint("turn", "plate", "hub", "revolute" if between else "fixed",
+              '<origin xyz="0 0 0.075"/><axis xyz="0 0 1"/>', full),
+        joint("spin", "hub", "wheel", inside='<axis xyz="0 1 0"/>', limit=full),
+    )  # fmt: skip
+    found = disabled_collision_pairs(model, samples=1000)
+    assert found.get(frozenset(("plate", "wheel"))) == reason

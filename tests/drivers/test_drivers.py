@@ -160,6 +160,18 @@ def test_gripper_closes_on_what_is_between_and_lets_go(driver):
     assert after.width == pytest.approx(0.07, abs=1e-3)
 
 
+def test_gripper_holds_an_object_between_the_ends_of_its_pads(name):
+    """The tcp is above the object, as above a low object on a table."""
+    lower = -CUBE / 2 - GRIPPER.pad_depth / 2
+    world = scene()
+    for item in ("stand", "cube"):
+        world = world.with_object_pose(item, world.object(item).T_world_object.shifted(z=lower))
+    with make(name, world) as driver:
+        close(driver)
+        holding = driver.gripper(GRIPPER.name)
+        assert holding.held == "cube" and holding.width == pytest.approx(CUBE, abs=1e-3)
+
+
 def test_a_held_object_comes_along(driver):
     close(driver)
 

@@ -6,10 +6,12 @@ import sys
 from importlib.util import find_spec
 
 from benchmarks.planning.peers.armcell import Armcell
-from benchmarks.planning.peers.base import Peer, Result
+from benchmarks.planning.peers.base import Peer, Result, UnsupportedRobot
 from benchmarks.planning.peers.ompl_coal import OmplCoal
 
 NATIVE = "armcell"
+VAMP = "VAMP"
+FAST = (NATIVE, VAMP)  # a problem takes them milliseconds: they plan all problems of every robot
 KERNEL_OMPL = "OMPL on armcell's kernel"
 
 
@@ -22,7 +24,23 @@ def all_peers() -> list[Peer]:
         peers.insert(1, Roboplan())
     else:
         print("Leaving out roboplan: pip install -r requirements-bench.txt", file=sys.stderr)
+    try:
+        from benchmarks.planning.peers.vamp import Vamp
+
+        peers.insert(1, Vamp())
+    except ImportError as error:
+        print(f"Leaving out VAMP: {error}", file=sys.stderr)
     return peers
 
 
-__all__ = ["KERNEL_OMPL", "NATIVE", "OmplCoal", "Peer", "Result", "all_peers"]
+__all__ = [
+    "FAST",
+    "KERNEL_OMPL",
+    "NATIVE",
+    "VAMP",
+    "OmplCoal",
+    "Peer",
+    "Result",
+    "UnsupportedRobot",
+    "all_peers",
+]

@@ -29,12 +29,22 @@ class Result:
         return self.plan_us + self.simplify_us + self.certify_us
 
 
+class UnsupportedRobot(Exception):
+    """The planner has no model of a robot; the text says why."""
+
+
 class Peer(Protocol):
     """A planner: a robot is loaded once, then each problem is set and planned."""
 
     name: str
 
-    def load(self, robot: Robot) -> None: ...
+    def load(self, robot: Robot) -> None:
+        """Get ready for a robot.
+
+        Raises:
+            UnsupportedRobot: the planner only knows other robots.
+        """
+        ...
 
     def set_problem(self, problem: Problem) -> None: ...
 

@@ -37,8 +37,8 @@ Tell = Callable[[Store, int], None]  # (store, trials run in this process)
 
 
 def begin(spec: CampaignSpec, runs: Path) -> Store:
-    """Create the folder of a new campaign.
-    First check that the cell is valid at both ends of every parameter range.
+    """Begin a new campaign: check that its cell is valid at both ends of every parameter range, and create
+    the campaign's folder.
 
     Raises:
         InputError: the cell or a parameter is invalid; raised before any trial runs.
@@ -82,7 +82,7 @@ def run(
     Args:
         workers: number of workers; 0 for one per core.
         tell: called after every trial with the store and the number of trials run by this process.
-        ray: run on a Ray cluster, given as HOST:PORT or "auto"; see `cluster.RayWorkers`.
+        ray: run on a Ray cluster, given as HOST:PORT or "auto"; see `RayWorkers`.
         listening: called with the sockets that the cluster opens on this machine, when they appear.
     Returns:
         Reason why the campaign stopped, as text.
@@ -144,7 +144,9 @@ def _sure_enough(store: Store) -> bool:
 
 
 def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
-    """Yield the trials of a campaign that have no stored result, from number `first` to `last` (excluded)."""
+    """Yield the campaign's next trials to run: those from number `first` to `last` (excluded) that have no
+    stored result.
+    """
     spec = store.spec
     ranges = distributions(spec)
     failed = [
@@ -159,8 +161,8 @@ def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
 def trial(
     spec: CampaignSpec, ranges: dict[str, Distribution], number: int, failed: Sequence[Array] = ()
 ) -> Trial:
-    """Return the trial of a campaign with a given number.
-    Its sampled values depend only on the seed, the number and earlier failures.
+    """Draw one trial of the campaign. Its sampled values depend only on the seed, the trial's number and
+    earlier failures.
 
     Args:
         failed: draws of failed trials of earlier rounds, for adaptive sampling.

@@ -133,7 +133,8 @@ def check_reason(allow_unvaried: str | None) -> None:
 
 
 def check_draws(cell: Cell) -> None:
-    """Reject a cell whose campaign trials would differ only in the planners' seed.
+    """Check for the gate before real arms that the trials of a campaign would differ in more than the
+    planners' seed. Otherwise, reject the cell.
 
     `armcell gate` calls this function before it runs the campaign.
 
@@ -220,8 +221,8 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
 def changed_parts(
     then: Mapping[str, str], now: Mapping[str, str], old_versions: Mapping[str, str] | None = None
 ) -> list[str]:
-    """List the parts of a cell whose content hashes differ between two states, for example between the
-    approval by the gate and now. Library versions count as parts.
+    """List the parts of a cell that have changed since the gate approved it, or between two other states, by
+    comparing content hashes. Library versions count as parts.
 
     Args:
         then: content hashes of the first state.
@@ -286,8 +287,8 @@ def _asked(spec: CampaignSpec) -> str:
 
 
 def _fewest(least: float, above: int = 0) -> int:
-    """Return the smallest number of trials, all successful, for which the exact 95 % confidence interval
-    shows a success rate of at least `least`.
+    """Return the smallest number of trials with which a campaign can pass the gate if all of them succeed:
+    the exact 95 % confidence interval must show a success rate of at least `least`.
     """
     return next(n for n in range(above + 1, 10**6) if Proportion(n, n).clopper_pearson[0] >= least)
 

@@ -207,8 +207,8 @@ class Pool(Generic[W]):
 
 
 class ProcessWorker(Worker):
-    """Worker process of a campaign on this machine.
-    It runs `worker.py` and exchanges JSON lines through standard input and output.
+    """Local process as a worker of the trial pool. The pool and the process exchange JSON lines through the
+    standard input and output of the process.
     """
 
     def __init__(self, spec: CampaignSpec):
@@ -236,8 +236,8 @@ class ProcessWorker(Worker):
             pass  # the process is dead; `answers` notices the end of its output
 
     def answers(self) -> list[Answer] | None:
-        """Return the answers that a local worker process has sent since the last call, or None if the process
-        is dead.
+        """Return the answers that a local process of the trial pool has sent since the last call, or None if
+        the process is dead.
         """
         data = os.read(self.output, 1 << 16)
         if not data:
@@ -258,7 +258,7 @@ class ProcessWorker(Worker):
 
 
 class Processes(Workers[ProcessWorker]):
-    """Interface to the `count` worker processes that run a campaign's trials on this machine.
+    """Workers of a trial pool that are `count` local processes, in which a campaign's trials run.
 
     It starts, polls and stops the processes.
     """
@@ -299,5 +299,5 @@ class Processes(Workers[ProcessWorker]):
 
 
 def cores() -> int:
-    """Return the number of processor cores that are available for a campaign's worker processes."""
+    """Return the number of processor cores that a trial pool can use for its worker processes."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -36,12 +36,15 @@ KINDS = ("uniform", "whole", "log_uniform", "normal", "choice")
 
 
 def random_draw(seed: int, number: int, dimensions: int) -> Array:
-    """Sample the parameters of a trial as independent uniform numbers in [0, 1), with shape (dimensions,)."""
+    """Sample the parameters of a trial for a campaign specification with random sampling: independent uniform
+    numbers (dimensions,) in [0, 1).
+    """
     return np.random.default_rng([seed, number]).random(dimensions)
 
 
 def latin_hypercube_draw(seed: int, number: int, dimensions: int) -> Array:
-    """Sample the parameters of a trial as a point (dimensions,) of a Latin hypercube in [0, 1).
+    """Sample the parameters of a trial for a campaign specification with Latin hypercube sampling: a point
+    (dimensions,) of the hypercube in [0, 1).
 
     In each block of 100 trials, every hundredth of every parameter range occurs exactly once.
 
@@ -53,8 +56,9 @@ def latin_hypercube_draw(seed: int, number: int, dimensions: int) -> Array:
 
 
 def adaptive_draw(seed: int, number: int, failed: Sequence[Array], dimensions: int) -> tuple[Array, bool]:
-    """Sample a trial's normalized parameters (dimensions,) in [0, 1), either uniformly or near an earlier
-    failed trial. Also return whether the sample is near a failed trial.
+    """Sample the parameters of a trial for a campaign specification with adaptive sampling: numbers
+    (dimensions,) in [0, 1), uniform or near an earlier failed trial. Also return whether they are near a
+    failed trial.
 
     Args:
         failed: draws of the failed trials of earlier rounds.
@@ -69,8 +73,8 @@ def adaptive_draw(seed: int, number: int, failed: Sequence[Array], dimensions: i
 
 
 class Distribution(Protocol):
-    """Probability distribution of a campaign parameter. The method `at` evaluates the inverse of its
-    cumulative distribution function.
+    """Probability distribution of a parameter in a campaign specification. The method `at` evaluates the
+    inverse of its cumulative distribution function.
 
     Samplers draw numbers in [0, 1) and pass them to `at`.
     """
@@ -80,8 +84,8 @@ class Distribution(Protocol):
 
 @dataclass(frozen=True)
 class Uniform:
-    """Uniform distribution of a campaign parameter from low to high. The option `whole` restricts it to
-    integers, including both ends.
+    """Uniform distribution of a parameter in a campaign specification, from low to high. The option `whole`
+    restricts it to integers, including both ends.
     """
 
     low: float
@@ -97,8 +101,8 @@ class Uniform:
 
 @dataclass(frozen=True)
 class LogUniform:
-    """Log-uniform distribution of a campaign parameter: values from 1 to 2 are as likely as values from 2 to
-    4.
+    """Log-uniform distribution of a parameter in a campaign specification: values from 1 to 2 are as likely
+    as values from 2 to 4.
     """
 
     low: float
@@ -110,8 +114,8 @@ class LogUniform:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal distribution of a campaign parameter, truncated at `cut` standard deviations on each side of the
-    mean.
+    """Normal distribution of a parameter in a campaign specification, truncated at `cut` standard deviations
+    on each side of the mean.
     """
 
     mean: float
@@ -126,7 +130,9 @@ class Normal:
 
 @dataclass(frozen=True)
 class Choice:
-    """Discrete distribution of a campaign parameter, in which all values are equally likely."""
+    """Discrete distribution of a parameter in a campaign specification, in which all values are equally
+    likely.
+    """
 
     values: tuple[Any, ...]
 
@@ -135,8 +141,8 @@ class Choice:
 
 
 def ends(found: Distribution) -> list[Any]:
-    """Return values for testing a campaign parameter: the minimum and maximum of its distribution,
-    and two values in between.
+    """Return test values for a parameter in a campaign specification: the minimum and maximum of its
+    distribution, and two values in between.
 
     For a choice, return all values. One of the two inner values is not a round fraction of the range: of the
     range 1 to 3, the other values are all integers.
@@ -304,7 +310,9 @@ class CampaignSpec:
 
 
 def distributions(spec: CampaignSpec) -> dict[str, Distribution]:
-    """Return the distribution of each campaign parameter, keyed by the path of the parameter."""
+    """Return the distribution that a campaign specification gives for each parameter, keyed by the
+    parameter's path.
+    """
     return {path: distribution(data, f"parameters/{path}") for path, data in spec.parameters.items()}
 
 

@@ -34,8 +34,8 @@ class Proportion:
 
     @property
     def wilson(self) -> tuple[float, float]:
-        """Return the Wilson score interval of a success rate.
-        On average, it contains the true rate with a probability of 95 %.
+        """Return the Wilson score interval of a proportion in the statistics of a campaign. On average, it
+        contains the true rate with a probability of 95 %.
 
         Wilson (1927), J. Am. Stat. Assoc. 22.
         """
@@ -43,8 +43,8 @@ class Proportion:
 
     @property
     def clopper_pearson(self) -> tuple[float, float]:
-        """Return the exact (Clopper-Pearson) 95 % confidence interval of a campaign's success rate. It
-        contains the true rate with a probability of at least 95 %.
+        """Return the exact (Clopper-Pearson) 95 % confidence interval of a proportion in the statistics of a
+        campaign. It contains the true rate with a probability of at least 95 %.
 
         Clopper and Pearson (1934), Biometrika 26.
         """
@@ -143,8 +143,8 @@ class Effect:
 
 
 def drawn(row: Row) -> dict[str, Any]:
-    """Return the values that a trial varied: parameters of the campaign and values that the cell's
-    `randomize` drew. The keys are the values' paths in the cell file.
+    """Return the values that a trial varied, for the statistics of a campaign: the campaign's parameters and
+    the values that the cell's `randomize` drew. The keys are the values' paths in the cell file.
 
     A trial whose values gave an invalid cell has no `randomize` draws.
     """

@@ -64,7 +64,7 @@ class Store:
 
     @staticmethod
     def new(root: Path, spec: CampaignSpec, hashes: Mapping[str, str]) -> Store:
-        """Create the folder of a new campaign inside the folder `root`, which is usually "runs"."""
+        """Create the store of a new campaign: a folder inside the folder `root`, which is usually "runs"."""
         folder = new_run_folder(root, f"campaign-{Path(spec.cell).stem}")
         asked = {"format": FORMAT, "spec": spec.as_dict(), "hashes": dict(hashes)}
         try:
@@ -138,8 +138,8 @@ def write_atomically(file: Path, data: bytes) -> None:
 
 
 def stored_spec(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
-    """Read the specification with which a campaign was started,
-    and the content hashes of its cell at that time.
+    """Read from the store of a campaign the specification with which the campaign was started, and the
+    content hashes of its cell at that time.
     """
     file = folder / ASKED
     try:
@@ -154,7 +154,8 @@ def stored_spec(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
 
 
 def _row(line: bytes) -> dict[str, Any]:
-    """Parse and validate one line of trials.jsonl in the folder of a campaign.
+    """Parse and validate one line of trials.jsonl, in which the store of a campaign keeps the result of one
+    trial.
 
     Raises:
         ValueError, KeyError, TypeError: the line is not a valid trial row.
@@ -175,8 +176,8 @@ def _row(line: bytes) -> dict[str, Any]:
 
 
 def rows_of(file: Path) -> tuple[list[dict[str, Any]], int]:
-    """Read the complete lines of a campaign's trials.jsonl.
-    Return the parsed rows and the total length of these lines in bytes.
+    """Read the complete lines of trials.jsonl from the store of a campaign. Return the parsed rows and the
+    total length of these lines in bytes.
 
     Raises:
         InputError: a complete line is not a valid trial row.

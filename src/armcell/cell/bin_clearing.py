@@ -25,8 +25,8 @@ def clear_with(
     ctx: TaskContext, scene: PlanningScene, gripper: Gripper, bin: str, tray: str, table: str,
     eye: LiveCamera, eye_on_tray: LiveCamera, settings: BinClearingSettings = BinClearingSettings(),
 ) -> Outcome:  # fmt: skip
-    """Clear a bin into a tray with an arm of the cell. In the physics simulation, also count the objects in
-    the tray, in the bin and elsewhere.
+    """Run bin clearing with an arm of the cell: move all objects from a bin into a tray. In the physics
+    simulation, also count the objects in the tray, in the bin and elsewhere.
 
     The evidence has the true counts `cleared`, `left` and `beside`. In physics, the outcome is also a FAILURE
     if the cameras see no more objects but an object is not in the tray.

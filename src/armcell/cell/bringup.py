@@ -66,7 +66,7 @@ class BringUp:
         self._found: dict[str, RobotIdentity] = {}
 
     def run(self) -> bool:
-        """Run all steps of the bring-up. Return False if the user declined a step or a step failed."""
+        """Run all steps of the cell's bring-up. Return False if the user declined a step or a step failed."""
         arms = self.settings.arms
         steps: list[tuple[str, str, str, Callable[[], str]]] = []
         for name, arm in arms.items():

@@ -42,7 +42,7 @@ T = TypeVar("T")
 
 
 def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbances:
-    """Return the disturbances of the simulated robot that a cell file defines, in SI units.
+    """Return the disturbances of a cell's simulated robot, in SI units.
 
     Raises:
         UnknownNameError: a joint, link or object does not exist.
@@ -173,15 +173,15 @@ class Cell:
         return settings
 
     def _sensors(self) -> Sensors3d | None:
-        """Load a cell's 3D sensors from the sensors_3d.yaml that the cell file names, or else from the
-        robot's MoveIt package.
+        """Return the 3D sensors of a `Cell`, from the sensors_3d.yaml that the cell file names, or else from
+        the robot's MoveIt package.
         """
         file = self._moveit_file(self.spec.ros.sensors, "sensors_3d.yaml")
         return None if file is None else load_sensors_3d(file)
 
     def _planner_configs(self) -> Mapping[str, Any]:
-        """Load a cell's planner settings from the ompl_planning.yaml that the cell file names, or else from
-        the robot's MoveIt package.
+        """Return the planner settings of a `Cell`, from the ompl_planning.yaml that the cell file names, or
+        else from the robot's MoveIt package.
         """
         file = self._moveit_file(self.spec.ros.planners, "ompl_planning.yaml")
         return {} if file is None else load_ompl_planning(file, self.model)
@@ -215,8 +215,8 @@ class Cell:
             raise self._fail(f"markers/{name}", error.reason, error.hint) from None
 
     def _check_names(self) -> None:
-        """Check that the names in a cell's blocks `randomize`, `start`, `perception`, `drop` and `task`
-        exist.
+        """Check that the names in the blocks `randomize`, `start`, `perception`, `drop` and `task` of this
+        `Cell` exist.
 
         Raises:
             UnknownNameError: a name does not exist.

@@ -24,8 +24,8 @@ REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python, armcell and the main libraries, such as MuJoCo. These versions identify
-    the software that a cell uses.
+    """Return the versions of Python, armcell and the main libraries, such as MuJoCo. They are included in the
+    content hashes of a cell.
     """
     return {"python": platform.python_version(), **{name: _installed(name) for name in REPORTED_PACKAGES}}
 

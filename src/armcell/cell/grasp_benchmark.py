@@ -268,8 +268,8 @@ class Bench:
         return Outcome(ErrorCode.SUCCESS, "", evidence)
 
     def _picked(self, ctx: TaskContext) -> Outcome:
-        """Pick the object of a grasp trial.
-        Prefer a grasp with which the arm can also reach the goal; otherwise use any grasp.
+        """Pick the object in a trial of the grasp benchmark. Prefer a grasp with which the arm can also reach
+        the goal; otherwise use any grasp.
         """
         s = self.settings
         goal = ChoosePlacement(OBJECT, TABLE, self.gripper, s.near, s.lower_distance, self.goal)
@@ -277,8 +277,8 @@ class Bench:
         return picked if picked.code is not ErrorCode.PLANNING_FAILED else pick(ctx, OBJECT, self.gripper)
 
     def at_rest(self, item: CollisionObject, yaw: float = 0.0) -> Iterator[CollisionObject]:
-        """Yield the object of a grasp trial at rest on the table in the physics simulation, once for each of
-        its three most stable sides.
+        """Yield the object of the grasp benchmark at rest on the table in the physics simulation, once for
+        each of its three most stable sides.
 
         Sides from which the object rolls away are skipped.
 
@@ -302,8 +302,8 @@ class Bench:
 
 # --- results ---
 def summary(rows: Sequence[ObjectResult], recovery: bool = True) -> dict[str, Any]:
-    """Summarize the results of grasp trials: success rates with confidence intervals, times and prediction
-    scores.
+    """Summarize the results of the grasp benchmark: success rates with confidence intervals, times and
+    prediction scores.
 
     Args:
         recovery: whether failed first attempts were repeated with recovery.

@@ -61,8 +61,8 @@ class HoldResult:
 
     @property
     def firmly(self) -> bool:
-        """Return whether the gripper held the object to the end, and the object's slip and rotation in the
-        hand stayed within the limits.
+        """Return whether the pick that tests a grasp prediction held the object firmly: to the end, and with
+        slip and rotation in the hand within the limits.
         """
         if not self.to_the_end or self.slip_m is None or self.turn_rad is None:
             return False
@@ -172,8 +172,8 @@ class _Hand:
         return self._world.link_pose(self._gripper.tcp_link).inverse() @ self._world.object_pose(self._item)
 
     def held(self, outcome: Outcome) -> HoldResult:
-        """Return whether a grasp held its object while the arm lifted and held it,
-        and how far the object slipped and turned.
+        """Return the result of a pick that tests a grasp prediction: whether the hand held the object during
+        the lift and the hold, and how far the object slipped and turned.
         """
         if self._closed is None:
             return HoldResult(False, reason=outcome.message)
@@ -216,8 +216,8 @@ def scores(
 
 
 def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
-    """Group predicted success probabilities into bins. Return the limits, count, mean prediction and observed
-    success rate of each nonempty bin.
+    """Group the predicted probabilities of grasp success into bins. Return the limits, count, mean prediction
+    and observed success rate of each nonempty bin.
     """
     rows = []
     bins = np.clip(np.searchsorted(EDGES, p, side="right") - 1, 0, len(EDGES) - 2)
@@ -233,7 +233,8 @@ def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
 
 
 def area_under_curve(score: Array, happened: Array) -> float | None:
-    """Return the AUC of predictions: the probability that a success has a higher score than a failure.
+    """Return the AUC of grasp predictions: the probability that a successful grasp has a higher score than a
+    failed one.
 
     Ties count half. The result is None without successes or without failures.
     """

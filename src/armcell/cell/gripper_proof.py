@@ -105,7 +105,9 @@ def _tried(model: RobotModel, gripper: Gripper) -> GripperProof:
 
 
 def _sucked(model: RobotModel, gripper: SuctionGripper) -> GripperProof:
-    """Try a suction gripper on a plate that all its cups cover, with half the load that it may carry."""
+    """Prove that a suction gripper works: let it hold a plate that all its cups cover, with half the load
+    that it may carry.
+    """
     from armcell.sim.grasp_trials import GraspTrial, run_trials  # imported late: physics
 
     reach = np.linalg.norm(hand_of(model, gripper).cups[:, :2], axis=1) + [c.radius for c in gripper.cups]

@@ -40,8 +40,8 @@ class _Request:
 
 
 class CellRenderer:
-    """Renderer for the cameras of a real-time cell. It queues image requests, and a separate process draws
-    the images.
+    """Renderer for the live cameras of a real-time cell. It queues image requests, and a separate process
+    draws the images.
 
     The thread and the process start with the first request.
 
@@ -64,15 +64,17 @@ class CellRenderer:
 
     @property
     def pid(self) -> int | None:
-        """Return the process ID of a cell's rendering process, or None if it is not running."""
+        """Return the ID of the process that renders images for a cell's live cameras, or None if it is not
+        running.
+        """
         return self._process.pid
 
     def ask(
         self, key: Hashable, camera: Camera, give: Give, rgb: bool = True, depth: bool = True,
         keep: bool = False,
     ) -> None:  # fmt: skip
-        """Request an image of a cell's camera from the cell's renderer, without waiting. A separate process
-        draws the image.
+        """Request an image of a cell's camera from the renderer of the live cameras, without waiting. A
+        separate process draws the image.
 
         Call this method from the thread that steps the driver.
 
@@ -96,8 +98,8 @@ class CellRenderer:
             self._wake.notify()
 
     def close(self) -> None:
-        """End the rendering process of a cell after it has rendered all
-        images of key moments that are still waiting.
+        """End the process that renders images for a cell's live cameras, after it has rendered all images of
+        key moments that are still waiting.
         """
         with self._wake:
             self._closing = True
@@ -125,8 +127,8 @@ class CellRenderer:
         return self._setup[1], MeasuredState(q, self._driver.object_poses())
 
     def _run(self) -> None:
-        """Render the requested camera images of a real-time cell. This function runs in the renderer's
-        thread; a separate process draws the images.
+        """Render the requested images of the live cameras in a real-time cell. This function runs in the
+        renderer's thread; a separate process draws the images.
 
         The process draws the next image while `give` handles the last one.
         """
@@ -142,7 +144,8 @@ class CellRenderer:
             self._process.close()
 
     def _next(self, wait: bool) -> _Request | None:
-        """Start rendering the oldest waiting request for a camera image of the cell, and return this request.
+        """Start rendering the oldest waiting image request in the renderer of the live cameras, and return
+        this request.
 
         Args:
             wait: wait for a request.

@@ -203,7 +203,9 @@ def _points(alone: RobotModel, q: Array, tcp_link: str) -> Array:
 
 
 def _camera(T_world_tcp: SE3, points: Array) -> Camera:
-    """Return a camera that sees points (n, 3) [m, tcp frame], with the tcp's z axis downward in the image."""
+    """Return a camera for the picture of a gripper. It sees the points (n, 3) [m, tcp frame], with the tcp's
+    z axis downward in the image.
+    """
     middle = (points.min(0) + points.max(0)) / 2
     radius = float(np.linalg.norm(points - middle, axis=1).max())
     forward = -VIEW / np.linalg.norm(VIEW)

@@ -339,12 +339,16 @@ class StepSpec(Strict):
 
     @property
     def goal(self) -> PlaceSpec | None:
-        """Return the goal placement of a task step in the cell file, or None if the step has no goal."""
+        """Return the goal placement that a task step specifies under the schema's keys `place` or `transfer`
+        of the cell file, or None if the step has no goal.
+        """
         return self.place or self.transfer
 
     @property
     def cameras(self) -> list[str]:
-        """Return the cameras named in a task step of the cell file."""
+        """Return the cameras that a task step names under the schema's keys `look` or `transfer` of the cell
+        file.
+        """
         named = self.transfer.look if self.transfer else self.look
         return [named] if isinstance(named, str) else list(named or [])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations, product
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision import ExactChecker
-from armcell.collision.self_collision import adjacent_links
+from armcell.collision.self_collision import HINDERING, adjacent_links, pairs_of_coarse_shapes
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
@@ -108,7 +108,9 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
 
 
 def _moves(model: RobotModel, link: str, names: tuple[str, ...]) -> bool:
-    """Return whether a link moves with any of the given joints or with a joint that mimics one of them."""
+    """Return whether a link moves with any of the gripper joints for which `armcell setup` generates poses,
+    or with a joint that mimics one of them.
+    """
     tree = kinematic_tree(model)
     columns = set(model.columns(names))
     return any(int(tree.column[j]) in columns and tree.kind[j] != 0 for j in tree.path_to(link))
@@ -173,16 +175,18 @@ class _Judge:
         counts: Counter[frozenset[str]] = Counter()
         for q in samples:
             counts.update(checker.touching(q))
-        # Contact in nearly all states is a mesh flaw and no reason to reject a state. Pairs that never
-        # touch do not count as clearance: they may be close to each other in every state.
-        flaws = [pair for pair, n in counts.items() if n >= FLAW * len(samples)]
+        # Contact in nearly all states is a mesh flaw and no reason to reject a state, as is contact of coarse
+        # shapes only. Pairs that never touch do not count as clearance: they may always be close.
+        flaws = {pair for pair, n in counts.items() if n >= FLAW * len(samples)}
+        often = {pair for pair, n in counts.items() if n >= HINDERING * len(samples)}
+        flaws |= pairs_of_coarse_shapes(model, often - flaws)
         self.checker = self._ignoring(checker, flaws)
         bodies = [n for n, link in model.links.items() if link.collisions]
         every = {frozenset((a, b)) for i, a in enumerate(bodies) for b in bodies[:i]}
         self.measured = self._ignoring(checker, [*flaws, *(every - set(counts))])
 
     @staticmethod
-    def _ignoring(checker: ExactChecker, pairs: list[frozenset[str]]) -> ExactChecker:
+    def _ignoring(checker: ExactChecker, pairs: Iterable[frozenset[str]]) -> ExactChecker:
         disabled = {**checker.model.disabled_collisions, **dict.fromkeys(pairs, "")}
         return ExactChecker(PlanningScene.of(replace(checker.model, disabled_collisions=disabled)))
 
@@ -190,8 +194,8 @@ class _Judge:
         return self.checker.is_free(q)
 
     def room(self, q: Array) -> float:
-        """Return the distance [m] between the closest two links in a candidate for a named pose. It is
-        negative if links are in contact.
+        """Return the distance [m] between the closest two links in a candidate for a named pose that `armcell
+        setup` generates. It is negative if links are in contact.
 
         Only pairs that can touch count. Distances above 1 m are not measured.
         """
@@ -203,7 +207,7 @@ class _Judge:
 
 def _dexterity(model: RobotModel, q: Array, groups: list) -> float:
     """Return the smallest manipulability sqrt(det(J J^T)) among several planning groups at the configuration
-    q, a candidate for the pose "ready".
+    q, a candidate for the pose "ready" that `armcell setup` generates.
     """
     tree = kinematic_tree(model)
     values = [1.0]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,11 @@ DROPS = (0.4, 0.3, 0.5)  # tried heights of the shoulder above that table, as fr
 AHEAD = (0.5, 0.6, 0.4)  # tried distances of its middle from the shoulder, as fractions of the reach
 FRONTS = (0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0, 180.0)  # [deg] tried directions of that table
 WIDTH, APART = 0.5, 0.25  # side of that table, and distance from the cube to its goal, per reach
+DOWN = 0.97  # least cosine between a gripper that points down and the vertical
+DOWN_SAMPLES = 10000  # random states; a freely rotating gripper points down in 1.5 % of them
+NEAR = 0.15  # horizontal distance from a cube to a sampled gripper that points down, per reach
+LEVELS = (0.5, 0.35, 0.65, 0.2, 0.8)  # tried heights of a table where the gripper points down, as quantiles
+LAYER = 0.1  # largest height of a gripper above or below that table, per reach
 
 TEXT = """# A first cell: `armcell run FOLDER` runs it, `armcell view FOLDER` shows it in the browser.
 # Lengths are in meters, angles in degrees; poses are [x, y, z] in the frame of the robot's base.
@@ -97,8 +103,10 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
               "xacro": f"xacro_args: {_inline(xacro_args)}\n" if xacro_args else ""}  # fmt: skip
     if model.grippers:
         pick = PICK_WITH.format(arm=arms[0].name) if len(arms) > 1 else PICK
-        around = _around(model, shoulder, reach, bottom)
-        for layout in _in_front(model, shoulder, reach) if is_high else around:
+        points = _pointing_down(model, arms[0]) if arms else np.zeros((0, 3))
+        usual = _in_front(model, shoulder, reach) if is_high else _around(model, shoulder, reach, bottom)
+        below = _below_gripper(model, points, reach, bottom)
+        for layout in _reached_first(chain(usual, below), points[:, :2], NEAR * reach):
             goal_x, goal_y, x, y = (round(float(v), 3) for v in (*layout.goal, *layout.cube))
             objects = OBJECTS.format(
                 mat=round(max(3 * edge, 0.1), 3), goal_x=goal_x, goal_y=goal_y, x=x, y=y, edge=edge,
@@ -154,7 +162,9 @@ class _Layout:
 def _around(
     model: RobotModel, shoulder: NDArray[np.float64], reach: float, bottom: float
 ) -> Iterator[_Layout]:
-    """Yield layouts in which the robot stands on the table or, if its start states need it, above it."""
+    """Yield layouts of a starter cell in which the robot stands on the table or, if its start states need it,
+    above it.
+    """
     side = round(2.4 * (reach + float(np.hypot(*shoulder[:2]))), 2)
     for height in HEIGHTS:
         table = _table(side, (0.0, 0.0), bottom - GAP - height)
@@ -168,7 +178,7 @@ def _around(
 
 
 def _in_front(model: RobotModel, shoulder: NDArray[np.float64], reach: float) -> Iterator[_Layout]:
-    """Yield layouts with a raised table beside a robot that stands on the floor."""
+    """Yield layouts of a starter cell with a raised table beside a robot that stands on the floor."""
     for drop in DROPS:
         for angle in FRONTS:
             for ahead in AHEAD:
@@ -178,6 +188,73 @@ def _in_front(model: RobotModel, shoulder: NDArray[np.float64], reach: float) ->
                 if start is not None:
                     aside = APART / 2 * reach * _direction(angle + 90.0)
                     yield _Layout(table, start, middle - aside, middle + aside, raised=True)
+
+
+def _below_gripper(
+    model: RobotModel, points: NDArray[np.float64], reach: float, bottom: float
+) -> Iterator[_Layout]:
+    """Yield layouts with a raised table below the region where the gripper can point down most often.
+
+    Some arms reach only a narrow region: with a gripper that points down, the telescope of a Stretch reaches
+    the points near a line beside its base. The cube and its goal are along the region's long side.
+
+    Args:
+        points: (n, 3) [m] positions of the gripper in which it points down.
+    """
+    for level in LEVELS if len(points) > 1 else ():
+        top = float(np.quantile(points[:, 2], level))
+        if top < bottom + THICK:
+            continue
+        layer = points[np.abs(points[:, 2] - top) < LAYER * reach, :2]
+        near = np.linalg.norm(layer[:, None] - layer[None], axis=2) < APART / 2 * reach
+        region = layer[near[near.sum(axis=1).argmax()]]
+        middle = region.mean(axis=0)
+        table = _table(round(WIDTH * reach, 2), middle, top)
+        start = _free_start(model, table)
+        if start is not None:
+            along = APART / 2 * reach * np.linalg.eigh(np.cov(region.T, ddof=0))[1][:, -1]
+            yield _Layout(table, start, middle - along, middle + along, raised=True)
+            yield _Layout(table, start, middle + along, middle - along, raised=True)
+
+
+def _reached_first(layouts: Iterable[_Layout], points: NDArray[np.float64], near: float) -> Iterator[_Layout]:
+    """Yield the layouts whose cube and goal are at most `near` [m] from one of the points (n, 2) [m] first,
+    and then the others.
+    """
+    far = []
+    for layout in layouts:
+        at = np.array([layout.cube, layout.goal])
+        distances = np.linalg.norm(points[:, None] - at, axis=2).min(axis=0, initial=np.inf)
+        if np.all(distances < near):
+            yield layout
+        else:
+            far.append(layout)
+    yield from far
+
+
+def _pointing_down(model: RobotModel, arm: Group) -> NDArray[np.float64]:
+    """Return the positions (n, 3) [m] of an arm's gripper in the random states in which it points down. They
+    are empty for an arm without a gripper.
+    """
+    gripper = next((g for g in model.grippers.values() if g.arm_group == arm.name), None)
+    if gripper is None:
+        return np.zeros((0, 3))
+    tree, rng = kinematic_tree(model), np.random.default_rng(0)
+    moved = model.columns(arm.joint_names)
+    low, high = _range(model)
+    q, found = model.default_positions(), []
+    for values in rng.uniform(low[moved], high[moved], (DOWN_SAMPLES, len(moved))):
+        q[moved] = values
+        pose = tree.link_pose(q, gripper.tcp_link).matrix
+        if pose[2, 2] < -DOWN:
+            found.append(pose[:3, 3])
+    return np.reshape(found, (-1, 3))
+
+
+def _range(model: RobotModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the joints' limits, (dof,) each; a joint without limits makes one turn."""
+    low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
+    return low, np.where(np.isfinite(model.upper), model.upper, np.pi)
 
 
 def _table(side: float, middle: Sequence[float] | NDArray[np.float64], top: float) -> CollisionObject:
@@ -238,7 +315,9 @@ def _arms(model: RobotModel) -> list[Group]:
 
 
 def _shoulder(model: RobotModel, arm: Group) -> NDArray[np.float64]:
-    """Return the position (3,) [m] of an arm's first joint in the frame of the robot's base."""
+    """Return the position (3,) [m] of an arm's first joint in the frame of the robot's base, for the layout
+    of a starter cell.
+    """
     joint = model.joints[arm.joint_names[0]]
     return kinematic_tree(model).link_pose(model.default_positions(), joint.child).translation
 
@@ -248,8 +327,7 @@ def _reach(model: RobotModel, arms: Sequence[Group], center: NDArray[np.float64]
     (3,) [m], which determines the layout of a starter cell.
     """
     tree, rng = kinematic_tree(model), np.random.default_rng(0)
-    low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
-    high = np.where(np.isfinite(model.upper), model.upper, np.pi)
+    low, high = _range(model)
     tips = [g.tip_link for g in arms if g.tip_link] or [list(model.links)[-1]]
     moved = model.columns(n for g in arms for n in g.joint_names)
     far, q = 0.0, model.default_positions()

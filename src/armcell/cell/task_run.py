@@ -46,7 +46,7 @@ def announce_code(cell: Cell, origin: str = "") -> None:
 
 
 def load_script(name: str, cell_file: Path) -> Script:
-    """Load the Python task script of a cell and return its function `task`.
+    """Load the Python script that runs as the task of a cell, and return its function `task`.
 
     Loading runs the top-level code of the file, like an import.
 
@@ -149,8 +149,8 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
 
 
 def _move(live: LiveCell, state: str) -> Outcome:
-    """Move each arm to its named state at the start or end of a run, one arm after the other.
-    Skip arms without a named state.
+    """Move each arm to its named state before or after the task of a run, one arm after the other. Skip arms
+    without a named state.
     """
     tables = live.model.named_states
     arms = [arm for group, arm in live.arms.items() if state in tables.get(group, {})]
@@ -229,14 +229,14 @@ def result_of(
 
 
 def contact_in_words(contact: Mapping[str, Any]) -> str:
-    """Return a one-line description of an unwanted contact in the result of a run."""
+    """Return a one-line description of an unwanted contact in the result of a task run."""
     pair, time = f"{contact['body_a']} touched {contact['body_b']}", contact["time_s"]
     return f"{pair} at {time:.2f} s, {contact['depth_m'] * 1000:.1f} mm deep"
 
 
 def run_failures(result: Mapping[str, Any]) -> list[str]:
-    """Return the failures of a run that override the outcome of its task: unwanted contacts and
-    lost objects.
+    """Return the failures of a task run that override the outcome of the task: unwanted contacts and lost
+    objects.
     """
     contacts = [f"unwanted contact: {contact_in_words(c)}" for c in result.get("unwanted_contacts", ())]
     return contacts + [f"lost object: {row['how']}" for row in result.get("lost", ())]
@@ -245,8 +245,7 @@ def run_failures(result: Mapping[str, Any]) -> list[str]:
 def _failed_at(
     outcome: Outcome, reports: list[dict[str, Any]], unwanted: list[dict[str, Any]]
 ) -> dict[str, str]:
-    """Return the stage and the pair of bodies at which the task of a run failed.
-    Both are empty if it did not fail.
+    """Return the stage and the pair of bodies at which a task run failed. Both are empty if it did not fail.
 
     After a planning failure: the stage without a solution and the contact at the start or goal. Otherwise:
     the last failed stage and the first unwanted contact.
@@ -266,7 +265,7 @@ def _judged(
     outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]], lost: list[dict[str, Any]],
     tolerance: float,
 ) -> Outcome:  # fmt: skip
-    """Return the outcome of a cell's run: a failure if there were unwanted contacts or lost or misplaced
+    """Return the outcome of a task run: a failure if there were unwanted contacts or lost or misplaced
     objects.
 
     Args:

@@ -44,7 +44,7 @@ def twin_identity(cell: Cell) -> dict[str, str]:
 
 
 def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
-    """Return the twin guard, which compares a cell's real arms with their simulated twin.
+    """Return the twin guard of a cell, which compares the cell's real arms with their simulated twin.
 
     It compares only with `watch` and if thresholds were learned; with `watch` alone it logs a hint.
 
@@ -69,7 +69,8 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
 def learn_thresholds(
     cell: Cell, motions: int = 12, seed: int = 0, tell: Callable[[str], None] = lambda text: None
 ) -> ResidualThresholds:
-    """Move every real arm and learn how far it normally deviates from its simulated twin.
+    """Learn the twin thresholds of a cell: move every real arm, and measure how far it normally deviates from
+    its simulated twin.
 
     Each arm first moves in a slow loop, then to random goals near home. All motions are planned in the cell's
     scene and dry-run in simulation first; nothing is gripped.
@@ -125,8 +126,8 @@ def _wander(
 
 
 class _NotFree(InputError):
-    """Error for a test motion that cannot be planned, or that the simulated twin rejects. armcell raises the
-    error while it measures the normal deviation between a real arm and its twin.
+    """Error for a test motion that cannot be planned or that the cell's simulated twin rejects. armcell
+    raises it while it learns the twin thresholds of a cell.
     """
 
 

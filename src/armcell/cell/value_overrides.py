@@ -33,8 +33,8 @@ NOISES = ("none", "stereo")  # named noise models of a camera
 
 
 def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
-    """Return a cell with changed values, each of which is given by its path.
-    The result is validated like a cell file.
+    """Return a cell with overridden values, each of which is given by its path. The result is validated like
+    a cell file.
 
     Args:
         values: new values by path. A path joins the keys of the cell file with dots; x, y, z, roll, pitch,
@@ -70,7 +70,8 @@ def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
 
 
 def parse_value(setting: str) -> tuple[str, Any]:
-    """Split a text `PATH=VALUE` into the path of a cell value and the value itself, which is parsed as YAML.
+    """Split the text `PATH=VALUE` of an override into the path of a cell value and the new value, which is
+    parsed as YAML.
 
     Raises:
         InputError: the text has no '=', or the value is not valid YAML.
@@ -85,8 +86,8 @@ def parse_value(setting: str) -> tuple[str, Any]:
 
 
 def split_path(path: str) -> tuple[str, ...]:
-    """Split the path of a cell value into normalized parts.
-    For example, `pose.x` and `pose.0` give the same result.
+    """Split the path of an overridden cell value into normalized parts. For example, `pose.x` and `pose.0`
+    give the same result.
     """
     return tuple(str(COMPONENTS.get(part, part)) for part in path.split("."))
 
@@ -135,7 +136,7 @@ def _write_out(data: dict[str, Any], path: str) -> None:
 
 
 def _table(data: Any, *keys: str) -> dict[str, Any]:
-    """Return the nested mapping of cell data that a sequence of keys leads to. Create missing mappings.
+    """Return the nested mapping of cell data to which the keys of an override lead. Create missing mappings.
 
     If a value on the path is not a mapping, return a new empty mapping.
     """
@@ -171,7 +172,7 @@ def _index(at: list[Any], part: str, path: str) -> int:
 
 
 def _known(data: dict[str, Any]) -> Iterator[str]:
-    """Yield the path of each value that can be changed in a cell. The paths also include values with a
+    """Yield the path of each cell value that an override can change. The paths also include values with a
     default that the cell file does not contain.
     """
     yield from _paths(data)
@@ -188,7 +189,9 @@ def _known(data: dict[str, Any]) -> Iterator[str]:
 
 
 def _paths(data: Any, before: str = "") -> Iterator[str]:
-    """Yield the dotted path, such as `objects.cube.mass`, of every cell value in nested mappings."""
+    """Yield the dotted path, such as `objects.cube.mass`, by which an override can address each value in
+    nested cell data.
+    """
     for key, value in data.items() if isinstance(data, dict) else ():
         yield f"{before}{key}"
         yield from _paths(value, f"{before}{key}.")

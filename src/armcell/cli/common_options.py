@@ -57,7 +57,7 @@ def robot_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def seed_or_default(seed: int | None, mode: str) -> int | None:
-    """Return the random seed of a command: the given seed, or else a default. The default is None in `real`
-    mode and 0 in all other modes.
+    """Return the random seed of a command: the value of the common option `--seed`, or else a default. The
+    default is None in `real` mode and 0 in all other modes.
     """
     return 0 if seed is None and mode != "real" else seed

@@ -86,8 +86,8 @@ def stage_table(result: dict[str, Any]) -> Table:
 
 
 def print_addresses(endpoints: Iterable[Endpoint], to: Console = console) -> None:
-    """Print the addresses on which a command's server listens,
-    e.g. `listening on tcp 127.0.0.1:10000 (ROS-TCP), ...`.
+    """Print on the console the addresses on which a command's server listens, e.g. `listening on tcp
+    127.0.0.1:10000 (ROS-TCP), ...`.
     """
     found = ", ".join(str(endpoint) for endpoint in endpoints)
     to.print(f"listening on {found or 'no port'}", markup=False, soft_wrap=True)

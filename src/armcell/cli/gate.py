@@ -164,7 +164,9 @@ def gate_summary(passed: dict[str, Any]) -> str:
 
 
 def warn_without_twin(driver: Any, cell: str) -> None:
-    """Print a warning if a command moves real arms that are not compared with a simulated twin."""
+    """Print a warning, after the gate check of a command, if its real arms are not compared with a simulated
+    twin.
+    """
     if driver.guard is not None and not driver.guard.compares:
         from armcell.twin import UNWATCHED
 

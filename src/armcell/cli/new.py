@@ -53,8 +53,8 @@ def new(
 
 
 def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
-    """Write the first starter cell in which a fake arm picks the cube, or else a cell that only moves the
-    arm. Return whether the task of the written cell is to pick the cube.
+    """Write, for `armcell new`, the first starter cell in which a fake arm picks the cube, or else a cell
+    that only moves the arm. Return whether the task of the written cell is to pick the cube.
 
     Args:
         path: how the cell names the robot.
@@ -72,8 +72,8 @@ def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
 
 
 def _passes(folder: Path, model: RobotModel) -> bool:
-    """Return whether a new starter cell of a robot passes all checks and its task succeeds with fake arms,
-    which follow every command exactly.
+    """Return whether the cell that `armcell new` has written for a robot passes all checks and its task
+    succeeds with fake arms, which follow every command exactly.
     """
     from armcell.cell import load, run_task
     from armcell.cli.check import findings

@@ -65,8 +65,8 @@ def show(
     at: PageAddress,
     title: str,
 ) -> None:
-    """Show a trajectory (once, in real time) or an explanation in the browser, for the option `--view`.
-    Then wait for Enter.
+    """Show a web page with a trajectory (played once, in real time) or an explanation, for a command's option
+    `--view`. Then wait for Enter.
     """
     from armcell.viewer import CellViewer, show_explanation
 

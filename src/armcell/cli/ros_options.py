@@ -96,8 +96,8 @@ def parse_ros_names(
 
 
 def unused_remappings_warning(bus: Any) -> str:
-    """Return a warning if a remapped ROS name matches no topic, service or action of the cell. Return an
-    empty text otherwise.
+    """Return the warning that a command with ROS options prints if a remapped name matches no topic, service
+    or action of the cell. The text is empty otherwise.
     """
     if bus.names is None:
         return ""
@@ -165,7 +165,8 @@ def join_ros1(
 
 
 def reserve_transport(stack: ExitStack, transport: Transport) -> Join:
-    """Reserve the port of a transport (ROS 1, Unity), and return a function that opens the transport.
+    """Reserve the port of a transport (ROS 1, Unity) that the options of a command request, and return a
+    function that opens the transport.
 
     Raises:
         InputError: the port is in use.

@@ -35,7 +35,8 @@ RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]"
 
 
 def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) -> list[CameraFrames]:
-    """Return the observers that record camera frames of a run, as requested by `armcell run --frames`.
+    """Return the observers that add camera frames to the record of a run, as requested by the option
+    `--frames`.
 
     Args:
         wanted: CAMERA or CAMERA=HZ, each.
@@ -64,8 +65,8 @@ def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) ->
 
 
 class CameraFrames:
-    """Observer that records frames of a camera for `armcell run --frames`, at a fixed rate [Hz] on the cell's
-    clock.
+    """Observer that adds frames of a camera to the record of a run, at a fixed rate [Hz] on the cell's clock
+    (option `--frames`).
     """
 
     def __init__(self, driver: Any, camera: Any, rate: float, recorder: Any):
@@ -92,7 +93,8 @@ class CameraFrames:
 
 
 def write_result_files(recorder: Any, result: dict[str, Any], json_file: Path | None = None) -> Path | None:
-    """Write the files of a run: result, record and report. Call this after the result was printed.
+    """Write the files of a run: result, record and report. Call this after the command has printed the
+    result.
 
     A failure to write (e.g. a full disk) then does not hide the result.
 
@@ -234,7 +236,7 @@ class ExternallyControlledRun:
 
     @property
     def observers(self) -> list[Observer]:
-        """Return the observers that record a run of the cell."""
+        """Return the observers that write a command's run record."""
         return [] if self.recorder is None else [self.recorder]
 
     def begin(self, live: Any) -> None:
@@ -250,7 +252,7 @@ class ExternallyControlledRun:
             self.recorder.on_event(Event(0.0, "note", gate_summary(self._gate)))
 
     def end(self, call: Callable[[Callable[[], Any]], Any], live: Any, failure: str = "") -> None:
-        """Store the result of a run in its record.
+        """Store the result of a run in the command's run record.
 
         Args:
             call: calls a function in the thread that steps the cell, and returns its result.

@@ -80,7 +80,7 @@ class ScriptConnections:
         return self != ScriptConnections()
 
     def check(self) -> None:
-        """Check that the command-line options for connections to Unity, ROS 1 and ROS 2 are consistent.
+        """Check that the options for a ROS script's connections to Unity, ROS 1 and ROS 2 are consistent.
 
         Raises:
             InputError: the options do not go together.

@@ -237,7 +237,7 @@ def sim(
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """Run a cell in place of Unity. It connects to a ROS-TCP endpoint as Unity would, until Ctrl-C.
+    """Serve a cell in place of Unity until Ctrl-C. The cell connects to a ROS-TCP endpoint as Unity would.
 
     With --ros1 or --ros2, the cell is a node that publishes states and takes trajectories and gripper
     commands.
@@ -278,8 +278,8 @@ def sim(
     client: RosTcpClient | None = None
 
     def joined(inside: Any) -> None:
-        """Connect `armcell sim` to the ROS-TCP endpoint. This happens after the cell has started to publish,
-        when all its topics are known.
+        """Connect the cell that `armcell sim` serves to the ROS-TCP endpoint. This happens after the cell has
+        started to publish, when all its topics are known.
         """
         nonlocal client
         kept = ("/clock", "/joint_states", "/tf", STATUS)
@@ -304,7 +304,7 @@ def sim(
 
 
 def address(text: str) -> tuple[str, int]:
-    """Split an address `host:port`, as given to `armcell sim`, into host and port.
+    """Split the address `host:port` of the endpoint to which `armcell sim` serves a cell into host and port.
 
     Raises:
         InputError: the text does not have this form, or the port is out of range.

@@ -420,6 +420,12 @@ def _show_pairs(proposal: SetupProposal) -> None:
     for pair in proposal.pairs:
         if pair.reason == "Default":
             console.print(f"  ignored though they touch only in {_share(pair)}: {pair.link_a}, {pair.link_b}")
+        elif pair.reason == "Never" and pair.touching:
+            console.print(
+                f"  ignored since only the collision shapes touch ({_share(pair)}), not the visual meshes: "
+                f"{pair.link_a}, {pair.link_b}",
+                soft_wrap=True,
+            )
 
 
 def _share(pair: LinkPair) -> str:

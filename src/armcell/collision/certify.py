@@ -27,7 +27,8 @@ MIN_INTERVAL_RAD = 2e-4
 
 @dataclass(frozen=True)
 class Certificate:
-    """Result of an attempt to certify that a motion is collision-free.
+    """Certificate of a motion: whether the motion was certified collision-free, and if not, which contact
+    prevents it.
 
     Attributes:
         free: True if the motion is certified collision-free.
@@ -43,8 +44,8 @@ class Certificate:
 
 
 class DistanceChecker(Protocol):
-    """Interface of a collision checker that certifies motions: it moves bodies to a configuration and
-    measures distances between bodies.
+    """Interface that a collision checker provides to certify motions: it moves bodies to a configuration and
+    measures distances between them.
     """
 
     model: RobotModel

@@ -45,8 +45,8 @@ fraction `CONVEX_EXCESS` and no vertex is deeper than `CONVEX_DENT` [m] inside t
 
 @dataclass(frozen=True, eq=False)
 class PrimitiveSet:
-    """Spheres or cubes that represent a point cloud or octree in the exact checker.
-    Sizes are radii or half edge lengths.
+    """Spheres or cubes that represent a point cloud or octree for the collision library coal. Sizes are radii
+    or half edge lengths.
 
     They are stored in chunks of `CHUNK` neighbors.
     """
@@ -74,8 +74,8 @@ class PrimitiveSet:
         return PrimitiveSet(cubes, centers, sizes, low, high)
 
     def near(self, center: F64, half: F64, R: F64, t: F64, within: float) -> tuple[F64, Index]:
-        """Return the spheres or cubes of a point cloud or octree that
-        may touch an oriented box, nearest first.
+        """Return the primitives (spheres or cubes) of a cloud that coal must test against an oriented box,
+        nearest first.
 
         Args:
             center: (3,) center of the box, box frame.
@@ -99,8 +99,8 @@ class PrimitiveSet:
         return bound[order], index[order]
 
     def solids(self, index: Index, T: coal.Transform3s) -> Iterator[tuple]:
-        """Yield the primitives (spheres or cubes) of a set as coal geometries with their transforms. `T` is
-        the transform of the set's frame.
+        """Yield primitives (spheres or cubes) of a cloud as coal geometries with their transforms. `T` is the
+        transform of the cloud's frame.
         """
         R, t, here = T.getRotation(), T.getTranslation(), coal.Transform3s()
         known: dict[float, coal.CollisionGeometry] = {}
@@ -125,8 +125,8 @@ def _near(
 
 
 def _holds(solid: CoalGeometry, T: coal.Transform3s, part: coal.Transform3s) -> bool:
-    """Return whether a nonconvex mesh contains the center of a primitive (sphere or cube) that belongs to a
-    point cloud or octree.
+    """Return whether the nonconvex mesh of a coal geometry contains the center of a primitive (sphere or
+    cube). The primitive belongs to a point cloud or octree.
     """
     return solid.holds(T.getRotation().T @ (part.getTranslation() - T.getTranslation()))
 
@@ -148,8 +148,8 @@ def distance_to_primitives(solid: CoalGeometry, T: coal.Transform3s,
                            primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                      request: coal.DistanceRequest, result: coal.DistanceResult,
                      outer: bool = False) -> float:  # fmt: skip
-    """Return the signed distance [m] from a solid to the nearest primitive (sphere or cube) of a point cloud
-    or octree.
+    """Return the signed distance [m] from a coal geometry to the nearest primitive (sphere or cube) of a
+    point cloud or octree.
 
     The distance is infinite if the set is empty. `result` holds coal's result for the nearest part.
 
@@ -178,7 +178,7 @@ def distance_to_primitives(solid: CoalGeometry, T: coal.Transform3s,
 
 
 def _halved(centers: F64) -> Index:
-    """Order the primitives (spheres or cubes) of a point cloud or octree such that each run of `CHUNK`
+    """Order the primitives (spheres or cubes) that represent a cloud in coal, such that each run of `CHUNK`
     primitives is close together in space.
 
     The algorithm splits the points in halves along the longest axis.

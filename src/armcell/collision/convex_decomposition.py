@@ -43,8 +43,8 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
 
 
 def stored_pieces(key: str, make: Callable[[], tuple[Mesh, ...]]) -> tuple[Mesh, ...]:
-    """Return the convex pieces of a mesh from the cache on disk.
-    If the cache has no entry for the key, compute the pieces.
+    """Return a convex decomposition of a mesh from the disk cache. If the cache has no entry for the key,
+    compute the decomposition.
     """
 
     def computed() -> dict[str, NDArray]:
@@ -123,7 +123,9 @@ class MeshPart:
 
 
 class _CutMesh(NamedTuple):
-    """Cut of a mesh: the saved volume [m^3], and both halves and their hull volumes [m^3]."""
+    """Cut of a convex decomposition through a mesh: the saved volume [m^3], and both halves and their hull
+    volumes [m^3].
+    """
 
     saving: float = 0.0
     halves: tuple[MeshPart, ...] = ()
@@ -131,8 +133,8 @@ class _CutMesh(NamedTuple):
 
 
 def _hull(points: Array) -> tuple[float, Array]:
-    """Return the volume [m^3] of the hull of points (n, 3), and its corners.
-    Flat or empty sets have no volume, and all their points are returned.
+    """Return the hull volume [m^3] of points (n, 3) and the corners of the hull, to rate a cut of a convex
+    decomposition. Flat or empty sets have volume 0 and keep all their points.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -151,7 +153,9 @@ def signed_volume(triangles: Array) -> float:
 
 
 def convex_hull_mesh(triangles: Array) -> Mesh:
-    """Return a convex piece: the convex hull of points (..., 3), as a mesh with outward-facing faces."""
+    """Return the convex hull of points (..., 3) as a mesh with outward-facing faces, which is one piece of a
+    convex decomposition.
+    """
     from scipy.spatial import ConvexHull
 
     points = np.unique(triangles.reshape(-1, 3), axis=0)
@@ -167,8 +171,8 @@ def convex_hull_mesh(triangles: Array) -> Mesh:
 
 
 def _best_cut(part: MeshPart, whole: float, least: float) -> _CutMesh:
-    """Find the axis-aligned plane that best cuts a mesh, whose hull has the volume `whole` [m^3], into two
-    convex pieces.
+    """Find the axis-aligned plane that best cuts a mesh in two for its convex decomposition. The mesh's hull
+    has the volume `whole` [m^3].
 
     The saving is less than `least` [m^3] if no cut saves as much.
     """
@@ -192,8 +196,8 @@ def _best_cut(part: MeshPart, whole: float, least: float) -> _CutMesh:
 
 
 def _largest_savings(part: MeshPart, planes: Array, whole: float) -> Array:
-    """Return upper bounds (3, k) [m^3] of the volume that each cut of a mesh saves. Most exceed the true
-    values by few percent of the whole hull.
+    """Return upper bounds (3, k) [m^3] on the hull volume that each possible cut of a convex decomposition
+    saves. Most bounds exceed the true values by a few percent of the whole hull.
 
     The hull of some points of a half is at most as large as the half's hull. The points are the extreme ones
     of each slab between two planes, and of each plane's section.
@@ -216,7 +220,9 @@ def _largest_savings(part: MeshPart, planes: Array, whole: float) -> Array:
 
 
 def evenly_spread(count: int) -> Array:
-    """Return unit vectors (count, 3) that are evenly spread, on a spiral along z (the Fibonacci sphere)."""
+    """Return unit vectors (count, 3) that are evenly spread (Fibonacci sphere). Along these directions, the
+    convex decomposition searches the extreme points of a mesh.
+    """
     z = (2 * np.arange(count) + 1) / count - 1
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
@@ -279,7 +285,8 @@ def _extreme_points(points, triangles, planes, directions):
 
 
 def cut_corners(triangles: Array, height: Array, odd: NDArray[np.intp]) -> tuple[Array, ...]:
-    """Cut triangles (n, 3, 3) at a plane that separates one corner of each from the other two.
+    """Cut triangles (n, 3, 3) of a mesh to decompose at a plane that separates one corner of each triangle
+    from the other two.
 
     Args:
         height: signed distances (n, 3) of the corners from the plane.

@@ -342,8 +342,8 @@ class ExactChecker:
         return sorted(worst.values(), key=lambda c: c.distance)
 
     def touching(self, q: ArrayLike) -> set[frozenset[str]]:
-        """Return the pairs of body names that touch at q (n,), without padding. For overlapping meshes, this
-        is much faster than `contacts`, which also computes depths.
+        """Return the pairs of body names that touch at q (n,) according to the exact checker, without
+        padding. For overlapping meshes, this is much faster than `contacts`, which also computes depths.
         """
         self.set_configuration(q)
         near = (pairs[self.pair_gaps(pairs) <= 0] for pairs in (self.pairs, self.fixed_pairs))
@@ -400,8 +400,8 @@ def _geometries(scene: PlanningScene) -> list[Geometry]:
 
 
 def neighbors(scene: PlanningScene, name: str, within: float = 0.002) -> list[str]:
-    """Return the objects within an exact distance [m] of a world object, for example the objects that support
-    it.
+    """Return the objects near a world object, for example those that support it. Their exact distances from
+    the object are at most `within` [m].
 
     Args:
         name: object in the world.
@@ -416,7 +416,9 @@ def neighbors(scene: PlanningScene, name: str, within: float = 0.002) -> list[st
 
 
 def object_distance(a: CollisionObject, b: CollisionObject, request: coal.DistanceRequest) -> float:
-    """Return the exact distance [m] of two objects, negative if they overlap. Pairs of clouds are skipped."""
+    """Return the exact distance [m] between two world objects, negative if they overlap. Pairs of clouds are
+    skipped.
+    """
     best, result = np.inf, coal.DistanceResult()
     for shape_a, T_a in a.shapes:
         A = a.T_world_object @ T_a

@@ -47,8 +47,8 @@ def moved_links(model: RobotModel, group: str) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _blind_model(model: RobotModel, links: frozenset[str]) -> RobotModel:
-    """Return a copy of the robot model in which the links of some arms
-    are not checked for collisions with any other link.
+    """Return a copy of the robot model for the inter-arm checker, in which the links of some arms are not
+    checked for collisions with any other link.
     """
     pairs = {frozenset((a, b)): "Other arm" for a in links for b in model.links if a != b}
     return replace(model, disabled_collisions={**model.disabled_collisions, **pairs})
@@ -56,7 +56,8 @@ def _blind_model(model: RobotModel, links: frozenset[str]) -> RobotModel:
 
 @lru_cache(maxsize=64)
 def _between_model(model: RobotModel, groups: tuple[str, ...], mover: str | None) -> RobotModel:
-    """Return a copy of the robot model in which only collisions between different arms are checked.
+    """Return a copy of the robot model for the inter-arm checker, in which only collisions between different
+    arms are checked.
 
     Args:
         mover: check only the collisions of this arm's links with those of the other arms; None: every arm.
@@ -71,8 +72,8 @@ def _between_model(model: RobotModel, groups: tuple[str, ...], mover: str | None
 
 
 def _are_tested(a: int | None, b: int | None, focus: int | None) -> bool:
-    """Return whether a body of arm `a` is checked against a body of arm `b`. An index of None means that the
-    body belongs to no arm.
+    """Return whether the inter-arm checker tests a body of arm `a` against a body of arm `b`. An index of
+    None means that the body belongs to no arm.
 
     Args:
         focus: index of the only arm that is checked against the others; None: every pair of arms is checked.
@@ -112,7 +113,8 @@ def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
 
 
 def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike) -> Contact | None:
-    """Return the closest pair of bodies that belong to different arms at the robot configuration q (n,).
+    """Return the closest pair of bodies that belong to different arms (inter-arm distance) at the robot
+    configuration q (n,).
 
     Pairs whose contact the scene allows are ignored.
 
@@ -136,8 +138,8 @@ def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike)
 
 
 def check_arms(model: RobotModel, groups: Sequence[str], what: str = "group") -> None:
-    """Check that the groups belong to different arms: there are at least two groups, each has joints, and no
-    two share a joint.
+    """Check that planning groups belong to different arms, so that an inter-arm check is possible: at least
+    two groups, each with joints, and no shared joint.
 
     Args:
         what: what the caller was given for each arm, for the message.
@@ -155,7 +157,8 @@ def check_arms(model: RobotModel, groups: Sequence[str], what: str = "group") ->
 
 
 def combined_group(model: RobotModel, groups: Iterable[str]) -> str:
-    """Return the name of the planning group that has exactly the joints of the given arms' groups.
+    """Return the name of the planning group that combines exactly the joints of several arms, in order to
+    check the arms against each other.
 
     Raises:
         InputError: the model has no such group.
@@ -173,8 +176,8 @@ def combined_group(model: RobotModel, groups: Iterable[str]) -> str:
 
 
 def without_arms(scene: PlanningScene, *groups: str) -> PlanningScene:
-    """Return the scene without some arms and the objects they hold, so that another arm can be checked for
-    collisions without them.
+    """Return the scene without some arms and their held objects, to check one arm without the collisions
+    between arms.
 
     The arms are placed at their model's default state, so that cached data of one plan can be reused for the
     next, wherever the arms are.
@@ -203,8 +206,8 @@ def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class InterArmChecker:
-    """Collision checker that tests the arms of a robot and the objects they hold against each other, but not
-    against the world.
+    """Inter-arm collision checker, which tests the arms of a robot and the objects they hold against each
+    other, but not against the world.
 
     Positions `q` are those of the first group followed by those of the others. The gripper fingers are
     assumed fully open, which is conservative.
@@ -252,14 +255,14 @@ class InterArmChecker:
 
     @cached_property
     def exact(self) -> ExactChecker:
-        """Return the exact but slow collision checker for body pairs of different arms.
-        Use it for single configurations.
+        """Return the slow inter-arm checker for single configurations, which tests body pairs of different
+        arms exactly.
         """
         return ExactChecker(self._bare, self.joint_names)
 
     def find_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
-        """Return a position along a motion where arms are closer than `clearance`, or -1.0 if there is
-        none.
+        """Return a position along a motion at which the inter-arm checker finds arms closer than `clearance`,
+        or -1.0 if there is none.
 
         The position is counted in edges: 2.5 is the middle of the third edge. -1.0 is a certificate for the
         whole motion.
@@ -276,8 +279,8 @@ class InterArmChecker:
         return float(first_below_clearance(self.checker.handle, points, room, float(clearance)))
 
     def first_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
-        """Return the first position along a motion where arms are closer than `clearance`, or -1.0 if there
-        is none.
+        """Return the first position along a motion at which the inter-arm checker finds arms closer than
+        `clearance`, or -1.0 if there is none.
 
         Like `find_too_close`, but the position is on the first edge where the arms are too close.
         """
@@ -291,7 +294,9 @@ class InterArmChecker:
         return found
 
     def contact(self, q: ArrayLike) -> Contact | None:
-        """Return the nearest pair of bodies of different arms at configuration q (n,)."""
+        """Return the nearest inter-arm pair, that is, two bodies of different arms, at configuration q
+        (n,).
+        """
         return self.exact.nearest(q)
 
     def certify(
@@ -303,8 +308,8 @@ class InterArmChecker:
         until: float | None = None,
         evidence: bool = True,
     ) -> TimedCertificate:
-        """Certify that the arms stay apart while their motions run on a common clock. Otherwise return the
-        bodies that touch and the time.
+        """Certify with the inter-arm checker that arms stay apart while their motions run on a common clock.
+        Otherwise return the bodies that touch and the time.
 
         Each arm stays still before and after its motion.
 
@@ -338,8 +343,8 @@ class InterArmChecker:
     def certify_any_time(
         self, first: JointTrajectory, second: JointTrajectory, clearance: float = 0.0
     ) -> bool:
-        """Certify that two arms stay apart for all start times and speeds of their motions. For more arms,
-        certify each pair.
+        """Certify with the inter-arm checker that two arms stay apart for all start times and speeds of their
+        motions. For more arms, certify each pair.
 
         The function tests every position of one motion against every position of the other: it tests boxes of
         joint positions of the second motion against the whole first motion, and splits boxes that are too
@@ -357,8 +362,8 @@ class InterArmChecker:
     def keeps_clearance_at_any_pace(
         self, a: Array, room_a: Array, b: Array, room_b: Array, clearance: float
     ) -> bool:
-        """Certify that two arms stay apart while they follow piecewise linear motions,
-        whatever the relative timing of the motions.
+        """Certify with the inter-arm checker that two arms stay apart on piecewise linear motions, whatever
+        the relative timing of the motions.
 
         Args:
             a, b: (k, n) waypoints of the first and of the second arm.

@@ -42,8 +42,8 @@ SAME = 2e-3  # [rad or m] samples that exceed the smallest distance by at most t
 
 
 def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> float:
-    """Return an upper bound [m] on how much closer two bodies can be than planned,
-    because objects or joints have been displaced.
+    """Return an upper bound [m] on how much closer two bodies can be than at planning time, because objects
+    or joints have been displaced. A motion proof can remain valid despite small displacements.
 
     The result is an upper bound: a motion that keeps this distance from everything in the planned scene is
     collision-free in the other scene.
@@ -88,8 +88,8 @@ def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iter
 
 
 def _links_moved(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> F64:
-    """Return upper bounds (links,) [m] on the displacement of each link
-    that is caused by joints outside the planned motion.
+    """Return upper bounds (links,) [m] on the displacement of each link by joints outside the motion to
+    prove.
     """
     model = scene.model
     q, columns = planned.positions.copy(), model.columns(joint_names)
@@ -103,8 +103,8 @@ def _links_moved(planned: PlanningScene, scene: PlanningScene, joint_names: Iter
 
 
 def _moved(before: SE3, now: SE3, shapes: Solids) -> float:
-    """Return an upper bound [m] on how far any point of an object moves when it is displaced from its planned
-    to its present pose.
+    """Return an upper bound [m] on the displacement of any point of an object from its planned to its present
+    pose. A motion proof tolerates small displacements.
     """
     if before is now:
         return 0.0
@@ -115,8 +115,8 @@ def _moved(before: SE3, now: SE3, shapes: Solids) -> float:
 
 @lru_cache(maxsize=64)
 def _link_radii(model: RobotModel) -> F64:
-    """Return the distance (links,) [m] from each link's origin to its farthest point, which bounds the link's
-    displacement.
+    """Return the distance (links,) [m] from each link's origin to its farthest point, with which a motion
+    proof bounds the link's displacement.
 
     The order is that of the kinematic tree.
     """
@@ -126,8 +126,8 @@ def _link_radii(model: RobotModel) -> F64:
 
 @lru_cache(maxsize=256)
 def _radius(shapes: Solids) -> float:
-    """Return an upper bound on the distance [m] from the frame origin of an object or link to the points of
-    its shapes, to bound their displacement.
+    """Return an upper bound on the distance [m] from the origin of an object or link to its shapes, with
+    which a motion proof bounds their displacement.
     """
     reach = 0.0
     for shape, T in shapes:
@@ -175,7 +175,7 @@ class ActiveMotion:
         return max(self.trajectory.duration - self.passed, 0.0)
 
     def positions(self, after: F64) -> F64:
-        """Return the joint positions (k, n) that a running motion commands at times (k,) [s]. They are
+        """Return the joint positions (k, n) that a motion to prove commands at times (k,) [s]. They are
         constant after the motion has ended.
         """
         q = positions_at(self.trajectory, self.passed + after)
@@ -191,8 +191,8 @@ class ActiveMotion:
         return most if self.blend is None else most + acceleration_bounds(self.blend)
 
     def knots(self) -> F64:
-        """Return the times [s] from now at which one polynomial segment
-        of a running motion ends and the next begins.
+        """Return the times [s] from now at which one polynomial segment of a motion to prove ends and the
+        next begins.
         """
         times = self.trajectory.times - self.passed
         if self.blend is not None:
@@ -325,7 +325,8 @@ def _pieces(
 
 
 def conflict_at_any_pace(scene: PlanningScene, motion: ActiveMotion, other: ActiveMotion) -> bool:
-    """Return whether two arms could touch if their motions ran at arbitrary times and speeds.
+    """Return whether a motion proof fails for two arms whose motions run at arbitrary times and speeds,
+    because the arms could touch.
 
     A speed slider or a pause can slow down real arms at any time, so their relative timing is unknown. The
     result is also True if no certificate is possible, because the motions do not belong to two arms without
@@ -342,8 +343,8 @@ def conflict_at_any_pace(scene: PlanningScene, motion: ActiveMotion, other: Acti
 
 
 def _of_group(scene: PlanningScene, motion: ActiveMotion, group: str) -> tuple[F64, F64]:
-    """Return a piecewise linear path (k, n) of a group that approximates a timed motion, and the largest
-    deviation (n,) [rad or m] of each joint from this path.
+    """Return a piecewise linear path (k, n) of a group that approximates a timed motion to prove
+    collision-free, and the largest deviation (n,) [rad or m] of each joint from this path.
 
     Joints outside the motion keep their positions in the scene, with deviation 0.
     """
@@ -356,8 +357,8 @@ def _of_group(scene: PlanningScene, motion: ActiveMotion, group: str) -> tuple[F
 
 
 def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
-    """Return the name of the arm that executes a motion: the smallest planning group that contains all given
-    joints, or None.
+    """Return the name of the arm that executes a motion to prove: the smallest planning group that contains
+    all given joints, or None.
 
     A group counts only if it has at least `ARM_JOINTS` joints. The motion proof treats this group as the arm
     that executes the motion.
@@ -369,8 +370,8 @@ def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
 
 
 def elapsed_at(trajectory: JointTrajectory, q: ArrayLike, most: float) -> float:
-    """Return the time [s] on the trajectory that corresponds to the measured joint positions q (n,).
-    A motion can run slower than planned.
+    """Return the time [s] on a trajectory that corresponds to measured joint positions q (n,). A motion proof
+    needs only the part of the motion after this time.
 
     Args:
         trajectory: the trajectory that the robot executes.

@@ -56,8 +56,8 @@ VERSION = 3  # increase when the same mesh yields different pieces, to invalidat
 
 @dataclass(frozen=True, eq=False)
 class _Reflex:
-    """Reflex edges of a concave mesh: endpoints (e, 2, 3), three candidate cutting planes per edge (e, 3, 4),
-    and weights (e,) equal to edge length times reflex angle.
+    """Reflex edges of a concave object: endpoints (e, 2, 3), three candidate cutting planes per edge (e, 3,
+    4), and weights (e,) equal to edge length times reflex angle.
 
     A plane is a normal and an offset.
     """
@@ -67,7 +67,7 @@ class _Reflex:
     weights: Array
 
     def below(self, plane: Array) -> _Reflex:
-        """Clip the reflex edges of a concave mesh to the side of a cutting plane where n · x + d < 0, and
+        """Clip the reflex edges of a concave object to the side of a cutting plane where n · x + d < 0, and
         return the clipped edges.
         """
         height = self.ends @ plane[:3] + plane[3]  # (e, 2)
@@ -87,8 +87,8 @@ class _Reflex:
 
 @dataclass(eq=False)
 class _Piece:
-    """Part of a concave solid inside one convex cell of space. The decomposition cuts space into these cells
-    along the solid's reflex edges.
+    """Part of a concave object inside one convex cell of space. The decomposition of the object cuts space
+    into these cells along reflex edges.
 
     `caps` closes the surface for volumes only: its triangles may reach beyond the solid, where they cancel.
     """
@@ -112,21 +112,23 @@ class _Piece:
 
 
 class _Work:
-    """Working state while a concave solid is decomposed: the solid itself and the remaining points."""
+    """Working state while a concave object is decomposed: the object's mesh and the remaining budget of
+    points to process.
+    """
 
     def __init__(self, points: int, vertices: Array, faces: NDArray[np.int32]):
         self.left, self._face_count, self._winding = points, len(faces), WindingNumbers(vertices, faces)
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
-        """Return a mask of the points (n, 3) that are inside the concave solid being decomposed."""
+        """Return a mask of the points (n, 3) that are inside the concave object to decompose."""
         if not len(points):
             return np.zeros(0, bool)
         self.left -= len(points) * self._face_count // 10
         return np.abs(self._winding(points)) > 0.5
 
     def hull(self, points: Array) -> float:
-        """Return the volume [m^3] of the convex hull of points (n, 3) on a piece of a concave solid.
-        It is 0 if the points are coplanar.
+        """Return the volume [m^3] of the convex hull of points (n, 3) on a piece of a concave object. The
+        volume is 0 if the points are coplanar.
         """
         from scipy.spatial import ConvexHull, QhullError
 
@@ -139,8 +141,8 @@ class _Work:
             return 0.0
 
     def measure_depth(self, piece: _Piece) -> None:
-        """Measure how deep [m] the deepest vertex of a piece of a concave solid is inside the piece's convex
-        hull.
+        """Measure the depth [m] of the deepest vertex of a concave object's piece inside the convex hull of
+        the piece.
         """
         from scipy.spatial import ConvexHull, QhullError
 
@@ -159,8 +161,8 @@ class _Work:
 
 
 def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[Array]:
-    """Cut a closed concave mesh into pieces until the convex hulls of the
-    pieces together fill hardly more volume than the mesh.
+    """Decompose the closed mesh of a concave object into pieces, until the convex hulls of all pieces
+    together have hardly more volume than the mesh.
 
     Args:
         vertices: (v, 3) [m].
@@ -203,8 +205,8 @@ def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[A
 
 
 def _best_cut(piece: _Piece, work: _Work) -> tuple[_Piece, _Piece] | None:
-    """Find the best cut through a reflex edge of a concave piece.
-    Return the pieces on both sides, or None if no cut helps.
+    """Find the best cut through a reflex edge of a concave piece of an object. Return the pieces on both
+    sides, or None if no cut helps.
 
     The first cuts of a cup or a bin save no volume, because a ring has the same hull as its disk. The score
     therefore also counts how far the reflex edges are resolved and distributed.
@@ -241,8 +243,8 @@ def _half(piece: _Piece, plane: Array, work: _Work) -> _Piece:
 
 
 def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
-    """Return the corners (n, 3) of a convex cell of space after a plane cuts the cell. Only corners inside
-    the concave solid that is being decomposed are returned.
+    """Return the corners (n, 3) of a convex cell of space after a plane has cut the cell. Only corners inside
+    the object to decompose are returned.
     """
     cell, n = piece.cell, len(piece.cell)
     old = piece.corners[piece.corners @ plane[:3] + plane[3] < 0]
@@ -257,8 +259,8 @@ def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
 
 
 def _candidates(piece: _Piece) -> Array:
-    """Return the candidate cutting planes (k, 4) for a piece of a concave solid,
-    as normal n and offset d with n · x + d = 0.
+    """Return the candidate planes (k, 4) that may cut a piece of a concave object, as normal n and offset d
+    with n · x + d = 0.
     """
     points = piece.triangles.reshape(-1, 3)
     low, high = points.min(0), points.max(0)
@@ -282,7 +284,9 @@ def _candidates(piece: _Piece) -> Array:
 
 
 def _reflex_edges(vertices: Array, faces: NDArray[np.int32]) -> _Reflex:
-    """Return the reflex edges of a concave mesh: those at which the interior angle exceeds 180 degrees."""
+    """Return the reflex edges of a concave object's mesh, at which the interior angle exceeds 180 degrees.
+    The decomposition cuts the object there.
+    """
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -312,7 +316,8 @@ def _reflex_edges(vertices: Array, faces: NDArray[np.int32]) -> _Reflex:
 
 
 def clip(triangles: Array, plane: Array) -> tuple[Array, Array]:
-    """Clip the triangles (n, 3, 3) of a concave solid at a cutting plane (4,), given as normal and offset.
+    """Clip the triangles (n, 3, 3) of an object to decompose at a cutting plane (4,), given as normal and
+    offset.
 
     Returns:
         The part (k, 3, 3) with n x + d <= 0 without triangles in the plane, and the edges (e, 2, 3) of this

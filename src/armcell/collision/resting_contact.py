@@ -181,8 +181,8 @@ def certify_from_rest(
 
 
 def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact]) -> Iterable[Pair]:
-    """Return the body pairs whose distances must be measured while a motion separates bodies that rest on
-    each other.
+    """Return the body pairs whose distances must be measured while a motion separates bodies in resting
+    contact.
 
     These are the touching pairs if the kernel certifies all others, else all near pairs.
     """
@@ -234,7 +234,7 @@ def clearance_from_rest(checker: KernelChecker, waypoints: ArrayLike) -> float:
 
 
 class SeparationChecker:
-    """Checker that tests whether a motion separates given pairs of bodies that rest on each other.
+    """Checker that tests whether a motion separates given pairs of bodies in resting contact.
 
     Args:
         exact: the exact checker.
@@ -254,8 +254,8 @@ class SeparationChecker:
         self._bound: MotionBound | None = None
 
     def forbidden_contact(self, q: ArrayLike) -> Contact | None:
-        """Return a forbidden contact at configuration q (n,) while the robot separates bodies that rest on
-        each other, or None.
+        """Return a forbidden contact at configuration q (n,), or None, while the robot moves bodies out of
+        resting contact.
 
         A contact is forbidden if it is new, deeper than at the start, or dragged along.
         """
@@ -338,7 +338,7 @@ class SeparationChecker:
         return place, None
 
     def separating_until(self, points: Array, at: float) -> float:
-        """Return how far along a motion the bodies that touch at its start keep moving apart.
+        """Return how far along a motion bodies in resting contact at the start keep moving apart.
 
         The search starts at `at`; both positions are counted in edges. The result is the end if the pairs
         separate all the time.
@@ -371,8 +371,8 @@ class SeparationChecker:
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """Return the index of a body pair with a forbidden contact while a motion separates bodies that rest
-        on each other, or None.
+        """Return the index of a body pair with a forbidden contact while a motion separates bodies in resting
+        contact, or None.
 
         Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 

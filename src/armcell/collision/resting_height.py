@@ -13,7 +13,8 @@ BISECTIONS = 12
 
 
 def resting_shift(scene: PlanningScene, name: str, most: float) -> float:
-    """Return the vertical distance [m] by which an object must move to rest on the objects below it.
+    """Return how far [m] an object must move up or down to be at its resting height, where it touches the
+    objects below it.
 
     An object at rest touches its support. If its believed pose is above the support or inside it, the pose is
     wrong by at least this distance.

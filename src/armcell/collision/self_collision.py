@@ -18,13 +18,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from armcell.collision.coarse_shapes import with_visual_shapes
 from armcell.collision.exact_checker import ExactChecker
 from armcell.collision.kernel.block import EVERY, EXACT, PROVE, STILL, check_block, handle_of, ints, lanes_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.frames import workspace
-from armcell.collision.kernel.pack import NEAR, PAIR, PAIRS
+from armcell.collision.kernel.pack import GAP_GRID, GAP_TABLE, NEAR, PAIR, PAIRS
 from armcell.collision.kernel.simd import L, pointer
-from armcell.kinematics import kinematic_tree
+from armcell.kinematics import KinematicTree, kinematic_tree
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
 
@@ -54,14 +55,15 @@ collision-free state."""
 
 @njit(cache=True, nogil=True)
 def _ask_pairs(handle, pairs, q, masks):
-    """Test body pairs at sampled configurations, and set one bit in `masks` (pairs, blocks) for each
-    configuration in which a pair is close.
+    """Test pairs of robot links for self-collision at sampled configurations. Set one bit in `masks` (pairs,
+    blocks) for each configuration in which a pair is close.
 
     A block has 16 rows of q.
     """
     k = pointer(handle)
     I, w = ints(k), lanes_of(k)
-    first_pair, first_near, dof = I[PAIR], I[NEAR], q.shape[1]
+    first_pair, first_near, first_table, first_grid = I[PAIR], I[NEAR], I[GAP_TABLE], I[GAP_GRID]
+    dof = q.shape[1]
     I[PAIRS] = np.int32(1)
     for block in range(masks.shape[1]):
         for lane in range(L):
@@ -74,13 +76,16 @@ def _ask_pairs(handle, pairs, q, masks):
         for p in range(len(pairs)):
             I[PAIR] = np.int32(first_pair + 2 * pairs[p])
             I[NEAR] = np.int32(first_near + pairs[p])
+            I[GAP_TABLE] = np.int32(first_table + 5 * pairs[p])
+            I[GAP_GRID] = np.int32(first_grid + 6 * pairs[p])
             masks[p, block] = np.uint16(check_block(k, EVERY, mode))
             mode |= np.int64(STILL)
     I[PAIR], I[NEAR] = np.int32(first_pair), np.int32(first_near)
+    I[GAP_TABLE], I[GAP_GRID] = np.int32(first_table), np.int32(first_grid)
 
 
 class PairSampler:
-    """Sampler that finds the contacts of each pair of bodies in a very large number of configurations.
+    """Sampler that finds the self-collisions of each pair of links in a very large number of configurations.
 
     Pairs that `near` proved apart are left out.
 
@@ -102,8 +107,8 @@ class PairSampler:
     def contact_masks(
         self, numbers: I64, q: F64, within: float = 0.0, progress: Callable[[int], None] | None = None
     ) -> NDArray[np.bool_]:
-        """Return for each given body pair the sampled configurations in which the pair is in contact, as a
-        boolean mask (pairs, samples).
+        """Return for each given pair of links the sampled configurations in which the pair is in
+        self-collision, as a boolean mask (pairs, samples).
 
         Args:
             numbers: indices in `pairs`.
@@ -128,6 +133,8 @@ class PairSampler:
 
 STARTS, STEPS = 6, 120  # start states of the search per pair, and steps per start state
 MORE = 48  # start states, as long as the search comes closer than CLOSE, and closer with every STARTS states
+HINDERING = 0.3  # fraction of contact samples from which the visual meshes decide whether neighbors touch
+NEIGHBORS = 2  # most joints between neighbors
 PARALLEL = 0.999  # least cosine between the axes of a telescope's joints
 CLOSE, CLOSER = 0.002, 0.95  # [m]; share of the last smallest distance
 
@@ -139,7 +146,8 @@ class LinkPair:
 
     `reason` has the SRDF's values: "Adjacent" (joined by a joint); "Always" and "Never" (in contact in all or
     none of the samples); "Default" (in contact in the default state, in a named state of the gripper that
-    contains both links, or in nearly all samples). It is empty if the pair must be checked.
+    contains both links, or in nearly all samples). It is empty if the pair must be checked. It
+    is also "Never" if only coarse collision shapes touch (`pairs_of_coarse_shapes`).
     """
 
     link_a: str
@@ -151,7 +159,7 @@ class LinkPair:
 
     @property
     def share(self) -> float:
-        """Return the fraction of the samples in which the link pair is in contact."""
+        """Return the fraction of the samples in which a pair of links is in self-collision."""
         return self.touching / self.samples
 
     @property
@@ -171,7 +179,35 @@ def link_pairs(
         seed: seed of the random states.
         progress: callback that receives the number of finished samples.
     """
-    return _Survey(model, samples, seed).pairs(progress)
+    pairs = _Survey(model, samples, seed).pairs(progress)
+    often = [p.links for p in pairs if p.reason in ("", "Default") and p.share >= HINDERING]
+    coarse = pairs_of_coarse_shapes(model, often, samples, seed)
+    return [replace(pair, reason="Never") if pair.links in coarse else pair for pair in pairs]
+
+
+def pairs_of_coarse_shapes(
+    model: RobotModel, often: Iterable[frozenset[str]], samples: int = 10_000, seed: int = 0
+) -> set[frozenset[str]]:
+    """Return the link pairs whose collision shapes touch, but whose visual meshes never do. A bounding box
+    around each link of a wrist makes most states of the wrist collide, although its meshes do not touch.
+
+    Only neighbors can be among them: with more joints between two links, no sampled state may show that their
+    meshes touch.
+
+    Args:
+        often: link pairs whose collision shapes touch in many states.
+        samples: number of states, uniformly distributed within the joint limits.
+        seed: seed of the random states.
+    """
+    tree = kinematic_tree(model)
+    near = {pair for pair in often if len(_joints_between(tree, *pair)) <= NEIGHBORS}
+    shown = with_visual_shapes(model, {link for pair in near for link in pair})
+    near = {pair for pair in near if all(shown.links[link].collisions for link in pair)}
+    if not near:
+        return set()
+    found = _Survey(shown, samples, seed).pairs(None)
+    apart = ("Never", "Adjacent")  # two neighbors are adjacent if the link between them has no shapes now
+    return {p.links for p in found if p.links in near and p.reason in apart and not p.touching}
 
 
 def disabled_collision_pairs(
@@ -295,6 +331,8 @@ class _Survey:
         if self.model.dof == 0:
             return {}, {}
         sampler = PairSampler(KernelChecker(self.scene))
+        if not sampler.pairs:
+            return {}, {}
         numbers, names = np.arange(len(sampler.pairs)), [frozenset(pair) for pair in sampler.pairs]
         first = self.states[:FIRST]
         close = list(sampler.contact_masks(numbers, first, progress=progress))
@@ -334,8 +372,8 @@ class _Survey:
         return near
 
     def _nearest(self, sampler: PairSampler, pair: int, near: I64) -> list[int]:
-        """Return the start states of the search for contact of a link pair, as indices in `states`, nearest
-        first.
+        """Return the start states of the search for a self-collision of a link pair, as indices in `states`,
+        nearest first.
 
         Args:
             pair: index in the sampler's pairs.
@@ -369,8 +407,7 @@ class _Survey:
         return found
 
     def _hands(self) -> set[str]:
-        """Return the names of the groups that count as grippers when armcell searches for self-collisions to
-        disable.
+        """Return the names of the groups that count as grippers in the search for self-collisions to disable.
 
         These are the groups of end effectors, and the groups that share no joint with a group that has a tip
         link.
@@ -414,7 +451,7 @@ class _Survey:
         Returns:
             True if the search finds a contact.
         """
-        columns = self._between(a, b)
+        columns = _joints_between(self.exact.tree, a, b)
         low, high = self.model.lower[columns], self.model.upper[columns]
         least = before = np.inf
         for number, start in enumerate(starts):
@@ -440,8 +477,10 @@ class _Survey:
             least = min(least, best)
         return False
 
-    def _between(self, a: str, b: str) -> list[int]:
-        """Return the indices of the joints that move one link relative to another."""
-        tree = self.exact.tree
-        apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
-        return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})
+
+def _joints_between(tree: KinematicTree, a: str, b: str) -> list[int]:
+    """Return the indices of the joints that move one link relative to another, to search for self-collisions
+    of the two links.
+    """
+    apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
+    return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})

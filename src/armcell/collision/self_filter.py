@@ -50,8 +50,8 @@ def robot_mask(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = (),
     scale: float = 1.0,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Return a mask (n,) of the cloud points on the robot.
-    They are inside robot links or held objects, or within their padding.
+    """Return a mask (n,) of the cloud points that the self-filter attributes to the robot: they are inside
+    robot links or held objects, or within their padding.
 
     The padding moves the faces of a shape outward, so the padded region extends a little farther at edges and
     corners.
@@ -69,8 +69,8 @@ def robot_mask(
 def object_mask(
     scene: PlanningScene, points: ArrayLike, padding: float, objects: Iterable[str]
 ) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the cloud points that are inside given scene
-    objects or within their padding, to filter them out.
+    """Return a mask (n,) of the cloud points that the self-filter attributes to given scene objects. The
+    points are inside the objects or within their padding.
 
     Args:
         points: (n, 3) [m, world frame].
@@ -111,8 +111,8 @@ def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shap
 
 
 def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) -> NDArray[np.bool_]:
-    """Return a mask of the cloud points (3, n) that are inside the padded
-    bounding box (world frame) of a shape, to filter them out.
+    """Return a mask of the cloud points (3, n) that are inside the padded bounding box (world frame) of a
+    shape, for the self-filter.
     """
     center, half = local_bounds(shape)
     center = T.apply(center * scale)
@@ -124,8 +124,8 @@ def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) 
 
 
 def _outside(shape: Shape, p: Array) -> Array:
-    """Return the distance [m] from each cloud point (n, 3) to a convex shape of the robot.
-    It is negative for points inside.
+    """Return the distance [m] from each cloud point (n, 3) to a convex shape of the robot, for the
+    self-filter. The distance is negative for points inside.
 
     The value is the largest signed distance from any of the shape's faces.
     """
@@ -158,7 +158,9 @@ def _outside(shape: Shape, p: Array) -> Array:
 
 @lru_cache(maxsize=1024)
 def _faces(mesh: Mesh) -> Array:
-    """Return the outward normals and offsets (f, 4) of a convex mesh's faces, to filter points of a cloud."""
+    """Return the outward normals and offsets (f, 4) of a convex mesh's faces, with which the self-filter
+    tests cloud points.
+    """
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(mesh.vertices).equations

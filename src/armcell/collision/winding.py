@@ -186,7 +186,9 @@ def _height(x, y, a, b, c):
 
 
 def _tree(vertices, faces) -> _Tree:
-    """Split the triangles at the median of their box's longest edge until each leaf has at most LEAF."""
+    """Build a tree over the triangles of a mesh for winding numbers. The triangles are split at the median of
+    their box's longest edge until each leaf has at most LEAF.
+    """
     corners = vertices[faces]
     centers, order = corners.mean(axis=1), np.arange(len(faces))
     ranges, children = [(0, len(faces))], []
@@ -240,7 +242,9 @@ def _border(faces, count: int):
 
 
 def _without_inner(edges, count: int):
-    """Remove edges (n, 3) that a group of triangles uses equally often in both directions."""
+    """Remove the inner edges (n, 3) of a group of triangles: those used equally often in both directions. The
+    border edges that remain suffice for the winding number.
+    """
     forward = edges[:, 0] < edges[:, 1]
     key = np.where(forward, edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0])
     keys, index = np.unique(key, return_inverse=True)
@@ -251,7 +255,9 @@ def _without_inner(edges, count: int):
 
 @njit(cache=True, inline="always")
 def _half_angle(point, a, b, c):
-    """Return half the solid angle [sr] of a triangle as seen from a point."""
+    """Return half the solid angle [sr] of a triangle as seen from a point. Winding numbers are sums of solid
+    angles.
+    """
     ax, ay, az = a[0] - point[0], a[1] - point[1], a[2] - point[2]
     bx, by, bz = b[0] - point[0], b[1] - point[1], b[2] - point[2]
     cx, cy, cz = c[0] - point[0], c[1] - point[1], c[2] - point[2]

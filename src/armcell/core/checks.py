@@ -6,7 +6,8 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
-from typing import Any, TypeVar
+from types import NoneType, UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,8 +48,8 @@ def _number(value: Any) -> bool:
 
 
 def _like(default: Any, value: Any, what: str) -> Any:
-    """Check that a setting's value from a file has the type of the setting's default value, and convert the
-    value to this type.
+    """Check that a setting's value from a file has the type of the default value, and convert the value to
+    this type.
     """
     if is_dataclass(default) and not isinstance(default, type):
         return settings_from(type(default), value, what)
@@ -76,8 +77,8 @@ def _like(default: Any, value: Any, what: str) -> Any:
 
 
 def is_number(value: Any, infinite: bool = False) -> bool:
-    """Return whether a value is a single real number.
-    NaN never counts as a number; infinity counts only if `infinite` is true.
+    """Check whether a value is a single real number. NaN never counts as a number; infinity counts only if
+    `infinite` is true.
     """
     if type(value) is float:  # nearly always
         return math.isfinite(value) or (infinite and not math.isnan(value))
@@ -156,7 +157,9 @@ def checked(*unbounded: str) -> Callable[[type[T]], type[T]]:
 
     Apply it below `@dataclass`.
 
-    It checks fields annotated as float, int or a tuple of floats, including optional ones.
+    It checks fields annotated as float, int or a tuple of floats, including optional ones. It also checks the
+    type of fields that are annotated as strings or value types of armcell, or as tuples of value types. If a
+    value type has a `WRITTEN_AS`, the message contains this example.
 
     Args:
         unbounded: fields that may be infinite, besides those with an infinite default.
@@ -173,12 +176,21 @@ def checked(*unbounded: str) -> Callable[[type[T]], type[T]]:
         ]  # fmt: skip
         original: Callable[[Any], None] | None = getattr(cls, "__post_init__", None)
 
+        classes: list[tuple[str, Callable[[Any], bool], Any]] | None = None  # unknown while modules import
+
         def check(self: Any) -> None:
+            nonlocal classes
             for name, kind, optional, infinite in numbers:
                 value = getattr(self, name)
                 if not (optional and value is None) and not _fits(value, kind, infinite):
                     need = _SCALAR.get(kind) or (f"{_TUPLE[kind]} numbers" if _TUPLE[kind] else "numbers")
                     raise InputError(f"{type(self).__name__}: {name} is {_short(value)}, it must be {need}")
+            if classes is None:
+                classes = _class_fields(cls)
+            for name, fits, need in classes:
+                if not fits(value := getattr(self, name)):
+                    what = f"{type(self).__name__}: {name} is {_short(value)}, it must be"
+                    raise InputError(f"{what} {_described(need)}", hint=_example(need))
 
         def __post_init__(self: Any) -> None:
             try:
@@ -205,6 +217,69 @@ def _fits(value: Any, kind: str, infinite: bool) -> bool:
     if type(value) is not tuple and (not isinstance(value, Sequence | np.ndarray) or isinstance(value, str)):
         return False
     return (not _TUPLE[kind] or len(value) == _TUPLE[kind]) and all(is_number(v, infinite) for v in value)
+
+
+def _class_fields(cls: type) -> list[tuple[str, Callable[[Any], bool], Any]]:
+    """Return the fields that the check of a dataclass covers, which contain texts or value types of armcell:
+    name, test of the value, and type annotation.
+    """
+    tests = ((name, _test(hint), hint) for name, hint in get_type_hints(cls).items())
+    return [(name, test, hint) for name, test, hint in tests if test is not None]
+
+
+def _test(hint: Any) -> Callable[[Any], bool] | None:
+    """Return a check function that tests whether a value has an annotated type, or None for types that are
+    not checked.
+    """
+    parts = get_args(hint)
+    if get_origin(hint) is tuple:
+        tests = [_test(part) for part in parts if part is not ...]
+        if parts[1:] == (...,) and tests[0] is not None:
+            one = tests[0]
+            return lambda value: isinstance(value, tuple | list) and all(map(one, value))
+        if None in tests:
+            return None
+        return lambda value: (
+            isinstance(value, tuple | list)
+            and len(value) == len(tests)
+            and all(test(item) for test, item in zip(tests, value) if test)
+        )
+    options = parts if get_origin(hint) in (Union, UnionType) else (hint,)
+    if set(options) == {NoneType} or not all(map(_is_checkable, options)):
+        return None
+    return lambda value: isinstance(value, options)
+
+
+def _is_checkable(option: Any) -> bool:
+    return option in (str, NoneType) or (
+        isinstance(option, type)
+        and option.__module__.startswith("armcell.")
+        and not getattr(option, "_is_protocol", False)
+    )
+
+
+def _described(hint: Any) -> str:
+    """Describe the type that a checked value must have in words, such as "a tuple of SE3", for the error
+    message.
+    """
+    parts = [part for part in get_args(hint) if part is not ...]
+    if get_origin(hint) is tuple:
+        inner = [_described(part) for part in parts]
+        return f"a tuple of {inner[0]}" if ... in get_args(hint) else f"({', '.join(inner)})"
+    if parts:
+        return " or ".join(_described(part) for part in parts)
+    return {str: "text", NoneType: "None"}.get(hint) or hint.__name__
+
+
+def _example(hint: Any) -> str | None:
+    """Return an example of a valid value for the message of a failed type check, from the `WRITTEN_AS` of the
+    annotated classes.
+    """
+    while get_origin(hint) is tuple and ... in get_args(hint):
+        hint = get_args(hint)[0]
+    options = get_args(hint) or (hint,)
+    examples = [option.WRITTEN_AS for option in options if hasattr(option, "WRITTEN_AS")]
+    return f"for example {' or '.join(examples)}" if examples else None
 
 
 def require(condition: bool, text: str) -> None:

@@ -29,8 +29,8 @@ LARGEST_HOLES = 0.05  # of the mesh's area: larger holes are openings of a surfa
 
 
 def finite_points(points: ArrayLike) -> tuple[F64, int]:
-    """Return the finite points of a point cloud (n, 3), and the number of points that were dropped because
-    they are not finite.
+    """Return the finite points among points (n, 3), from which the geometry of a point cloud can be created,
+    and the number of dropped points.
 
     Depth cameras mark pixels without depth by NaN.
     """
@@ -42,7 +42,8 @@ def finite_points(points: ArrayLike) -> tuple[F64, int]:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PointCloud:
-    """Shape of a point cloud: balls of equal radius [m] around points (n, 3) [m], given in the shape's frame.
+    """Geometric shape of a point cloud: balls of equal radius [m] around points (n, 3) [m], given in the
+    shape's frame.
 
     Raises:
         InputError: a point is not finite (see `finite_points`), or the radius is not positive.
@@ -64,7 +65,8 @@ class PointCloud:
 
     @cached_property
     def bounds(self) -> tuple[F64, F64]:
-        """Return the lowest and the highest corner, each (3,) [m], of the box that encloses a point cloud.
+        """Return the lowest and the highest corner, each (3,) [m], of the box that encloses a point cloud as
+        a geometric shape.
 
         Both corners are zero if the cloud is empty.
         """
@@ -73,8 +75,8 @@ class PointCloud:
 
 @dataclass(frozen=True, eq=False)
 class Octree:
-    """Octree shape, for example from a 3D map: a set of occupied cubes that are aligned with the axes of the
-    octree's frame.
+    """Geometric shape of an octree, for example from a 3D map: a set of occupied cubes that are aligned with
+    the axes of the octree's frame.
 
     centers (n, 3) [m], sizes (n,) full edge lengths [m]. Cubes may overlap and need no common grid.
     """
@@ -96,8 +98,8 @@ class Octree:
 
     @staticmethod
     def from_grid(occupied: ArrayLike, size: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Octree:
-        """Create an octree shape from a boolean occupancy grid (i, j, k). Eight occupied neighbors are merged
-        into a larger cube.
+        """Create the geometric shape of an octree from a boolean occupancy grid (i, j, k). Eight occupied
+        neighbors are merged into a larger cube.
 
         Args:
             origin: the lowest corner of cell (0, 0, 0) [m].
@@ -124,7 +126,8 @@ class Octree:
 
     @cached_property
     def bounds(self) -> tuple[F64, F64]:
-        """Return the lowest and the highest corner, each (3,) [m], of the box that encloses an octree.
+        """Return the lowest and the highest corner, each (3,) [m], of the box that encloses an octree as a
+        geometric shape.
 
         Both corners are zero if the octree is empty.
         """
@@ -167,7 +170,7 @@ def _positive(what: str, **sizes: float) -> None:
 @dataclass(frozen=True)
 @checked()
 class Box:
-    """Box shape, centered on its own frame, with full edge lengths x, y and z [m]."""
+    """Geometric shape of a box, centered on its own frame, with full edge lengths x, y and z [m]."""
 
     x: float
     y: float
@@ -211,7 +214,8 @@ class Cylinder:
 @dataclass(frozen=True)
 @checked()
 class Capsule:
-    """Capsule shape: a cylindrical part of the given length and radius [m], with a half ball at each end.
+    """Geometric shape of a capsule: a cylindrical part of the given length and radius [m], with a half ball
+    at each end.
 
     The total length is `length + 2 radius`.
     """
@@ -230,7 +234,9 @@ class Capsule:
 @dataclass(frozen=True)
 @checked()
 class Cone:
-    """Cone shape whose base is at -length/2 and whose apex is at +length/2 on the z axis [m]."""
+    """Geometric shape of a cone, whose base is at -length/2 and whose apex is at +length/2 on the z axis
+    [m].
+    """
 
     radius: float
     length: float
@@ -245,7 +251,9 @@ class Cone:
 
 @dataclass(frozen=True)
 class Plane:
-    """Plane shape, an obstacle that fills a half space: all points with z <= 0 in its own frame are solid."""
+    """Geometric shape of a plane, which fills a half space: all points with z <= 0 in its own frame are
+    solid.
+    """
 
     @property
     def half_extents(self) -> F64:
@@ -254,7 +262,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangle mesh shape with vertices (v, 3) [m] and faces (f, 3)."""
+    """Geometric shape of a triangle mesh with vertices (v, 3) [m] and faces (f, 3)."""
 
     vertices: F64  # (v, 3) [m]
     faces: NDArray[np.int32]  # (f, 3)
@@ -283,8 +291,8 @@ Shape = Box | Sphere | Cylinder | Capsule | Cone | Plane | Mesh | PointCloud | O
 
 
 def extent(shape: Shape, direction: F64) -> tuple[float, float]:
-    """Return the lowest and the highest coordinate [m] that a shape reaches along a direction, given as a
-    unit vector (3,).
+    """Return the lowest and the highest coordinate [m] that a geometric shape reaches along a direction,
+    given as a unit vector (3,).
 
     The direction is in the shape's frame.
 
@@ -323,8 +331,8 @@ def extent(shape: Shape, direction: F64) -> tuple[float, float]:
 
 
 def local_bounds(shape: Shape) -> tuple[F64, F64]:
-    """Return the center and the half extents, each (3,) [m], of a shape's bounding box in the frame of the
-    shape.
+    """Return the center and the half extents, each (3,) [m], of a geometric shape's bounding box in the frame
+    of the shape.
 
     The box is aligned with the axes of the shape's frame.
     """
@@ -341,8 +349,8 @@ def local_bounds(shape: Shape) -> tuple[F64, F64]:
 
 @lru_cache(maxsize=256)
 def open_edges(mesh: Mesh) -> Ints:
-    """Return the directed edges (e, 2) at which a mesh is open, as vertex indices. At these edges, no
-    adjacent triangle has the opposite edge.
+    """Return the directed edges (e, 2) at which the geometry of a mesh is open, as vertex indices. At these
+    edges, no adjacent triangle has the opposite edge.
 
     Vertices at the same point count as one. A mesh in which every edge has two triangles is closed, even if
     the triangles are not oriented consistently.
@@ -364,12 +372,13 @@ def open_edges(mesh: Mesh) -> Ints:
 
 
 def is_closed(mesh: Mesh) -> bool:
-    """Return whether a mesh encloses a volume."""
+    """Return whether the geometry of a mesh is closed, so that it encloses a volume."""
     return not len(open_edges(mesh))
 
 
 def with_small_holes_filled(mesh: Mesh) -> Mesh:
-    """Return a mesh whose holes are filled with triangles, if they are small defects.
+    """Close the geometry of a mesh: return the mesh with its holes filled by triangles, if the holes are
+    small defects.
 
     The mesh itself is returned if it is closed, or if the holes together have more than `LARGEST_HOLES` of
     its area. Each hole is filled by a fan from one of its vertices.
@@ -385,8 +394,8 @@ def with_small_holes_filled(mesh: Mesh) -> Mesh:
 
 
 def _loops(edges: Ints) -> list[list[int]]:
-    """Divide the open edges of a mesh into simple loops of vertices. Each vertex has as many incoming as
-    outgoing edges.
+    """Divide the open edges in the geometry of a mesh into simple loops of vertices. Each vertex has as many
+    incoming as outgoing edges.
     """
     after: dict[int, list[int]] = {}
     for a, b in edges.tolist():

@@ -19,7 +19,8 @@ MAX_PIXELS = 8192
 @dataclass(frozen=True)
 @checked()
 class Pinhole:
-    """Intrinsics of a pinhole camera. The centers of pixels have integer coordinates; x points right, y down.
+    """Pinhole camera with which an image was taken: its intrinsics. Pixel centers have integer coordinates; x
+    points right, y down.
 
     `distortion` is "plumb_bob" as in ROS and OpenCV: k1, k2, p1, p2, k3; empty for a rectified image.
     """
@@ -48,7 +49,8 @@ class Pinhole:
 
     @staticmethod
     def of_fov(width: int, height: int, fovy_deg: float) -> Pinhole:
-        """Create the intrinsics of a pinhole camera with square pixels from its vertical field of view [deg].
+        """Create the intrinsics of a camera image with square pixels from the camera's vertical field of view
+        [deg].
 
         The principal point is the center of the image.
         """
@@ -59,12 +61,12 @@ class Pinhole:
 
     @property
     def matrix(self) -> Array:
-        """Return the camera matrix K (3, 3) [px] of a pinhole camera."""
+        """Return the camera matrix K (3, 3) [px] with which points are projected to an image."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     @property
     def fovy_deg(self) -> float:
-        """Return the vertical field of view [deg] of a pinhole camera whose principal point is at the image
+        """Return the vertical field of view [deg] of a camera image whose principal point is at its
         center.
         """
         return float(np.rad2deg(2 * np.arctan(self.height / 2 / self.fy)))
@@ -113,7 +115,8 @@ class CameraImage:
 @dataclass(frozen=True, eq=False)
 @checked()
 class HeightMap:
-    """Height map: a grid of heights [m] over a rectangle of the world, as a camera sees it from above.
+    """Height image (height map): a grid of heights [m] over a rectangle of the world, as a camera sees it
+    from above.
 
     Unseen cells have the height of the highest seen neighbor, because hidden objects may be there.
     """
@@ -124,8 +127,8 @@ class HeightMap:
     resolution: float  # [m]
 
     def at(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the centers of the given cells of a height map as points (n, 3) [m, world frame], each at
-        the height of its cell.
+        """Return the centers of given cells (pixels) of a height image as points (n, 3) [m, world frame],
+        each at the height of its cell.
         """
         cells = float_array(cells, (None, 2), "cells").astype(np.int64)
         if ((cells < 0) | (cells >= self.heights.shape)).any():
@@ -136,8 +139,8 @@ class HeightMap:
         return found
 
     def cells_within(self, low: ArrayLike, high: ArrayLike) -> NDArray[np.bool_]:
-        """Return a mask (nx, ny) of the cells in a height map whose centers are inside a rectangle [m, world
-        frame].
+        """Return a mask (nx, ny) of the cells (pixels) in a height image whose centers are inside a rectangle
+        [m, world frame].
         """
         low, high = float_array(low, (2,), "low"), float_array(high, (2,), "high")
         nx, ny = self.heights.shape

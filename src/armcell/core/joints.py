@@ -9,7 +9,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +31,7 @@ def _columns(have: Names, want: Iterable[str]) -> list[int]:
 
 
 def all_finite(values: F64) -> bool:
-    """Return whether all values (n,) of a joint state are finite; for small n, this is faster than NumPy."""
+    """Return whether all values (n,) of a joint state are finite. For small n, this is faster than NumPy."""
     return math.isfinite(values.dot(values)) or bool(np.isfinite(values).all())
 
 
@@ -47,6 +47,7 @@ class JointState:
     velocities: F64 | None = None  # (n,)
     efforts: F64 | None = None  # (n,) [Nm or N]
     time: float = 0.0  # [s]
+    WRITTEN_AS: ClassVar[str] = 'JointState.from_mapping({"joint_1": 0.5})'
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
@@ -117,7 +118,7 @@ class JointState:
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """Path in joint space: waypoints that are connected by straight segments, without timing."""
+    """Joint path: waypoints in joint space that are connected by straight segments, without timing."""
 
     joint_names: Names
     waypoints: F64  # (k, n) [rad or m]
@@ -134,7 +135,7 @@ class JointPath:
 
     @property
     def length(self) -> float:
-        """Return the length [rad] of a path in joint space, the sum of the Euclidean lengths of its
+        """Return the length [rad] of a joint path, which is the sum of the Euclidean lengths of its
         segments.
         """
         return float(np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).sum())
@@ -279,7 +280,8 @@ class JointTrajectory:
 
 
 class Playback:
-    """Fast evaluator for playing back a trajectory: it returns the positions and velocities at any time.
+    """Fast evaluator for the playback of a joint trajectory: it returns the joints' positions and velocities
+    at any time.
 
     The values agree with `JointTrajectory.sample`; accelerations are not available.
 
@@ -319,8 +321,8 @@ class Playback:
         self._coefficients = np.concatenate([c, slopes], axis=2)  # (k - 1, 6, 2n)
 
     def at(self, t: float) -> tuple[F64, F64]:
-        """Return the position and the velocity, each (n,),
-        at a time t [s] of the trajectory that is played back.
+        """Return the joints' positions and velocities, each (n,), at a time t [s] of the joint trajectory
+        that is played back.
 
         Before the start and after the end, the position is constant.
         """
@@ -332,8 +334,8 @@ class Playback:
         return both[:n], both[n:]
 
     def at_times(self, times: ArrayLike) -> tuple[F64, F64]:
-        """Return the positions and velocities, each (k, n),
-        at several times (k,) [s] of the trajectory that is played back.
+        """Return the joints' positions and velocities, each (k, n), at several times (k,) [s] of the joint
+        trajectory that is played back.
 
         Before the start and after the end, the position is constant.
         """

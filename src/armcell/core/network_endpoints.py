@@ -51,7 +51,7 @@ class Endpoint:
 
 
 def reserve(host: str, port: int) -> socket.socket:
-    """Reserve a TCP port without opening it: connections to this endpoint are refused until `listen` is
+    """Reserve a TCP port (network endpoint) without opening it: connections are refused until `listen` is
     called.
 
     A server reserves its port before it loads anything, so that a port in use is an early error, and listens
@@ -74,7 +74,7 @@ def reserve(host: str, port: int) -> socket.socket:
 
 
 def listen(sock: socket.socket, backlog: int) -> None:
-    """Start accepting connections on a TCP port that `reserve` has reserved.
+    """Start accepting connections at a network endpoint: a TCP port that `reserve` has reserved.
 
     Args:
         backlog: number of connections that may wait to be accepted.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from armcell.core.checks import checked
 from armcell.core.geometry import Shape
@@ -20,7 +20,7 @@ ADAPTERS = ("fix_start_state_bounds", "resolve_constraint_frames", "timing", "va
 @dataclass(frozen=True)
 @checked()
 class JointConstraint:
-    """Constraint that keeps a joint within tolerances [rad or m] of a desired position.
+    """Constraint in motion requests that keeps a joint within tolerances [rad or m] of a desired position.
 
     The joint stays between position - tolerance_below and position + tolerance_above.
     """
@@ -34,8 +34,8 @@ class JointConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PositionConstraint:
-    """Constraint that keeps a point of a link inside a region, that is, inside at least one of the region's
-    shapes.
+    """Constraint in motion requests that keeps a point of a link inside a region, that is, inside at least
+    one of the region's shapes.
     """
 
     region: tuple[tuple[Shape, SE3], ...]  # (shape, T_frame_shape)
@@ -47,7 +47,8 @@ class PositionConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class OrientationConstraint:
-    """Constraint that keeps the orientation of a link within a tolerance [rad] about each axis.
+    """Constraint in motion requests that keeps the orientation of a link within a tolerance [rad] about each
+    axis.
 
     A tolerance of pi or more frees its axis.
 
@@ -66,7 +67,8 @@ class OrientationConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class VisibilityConstraint:
-    """Constraint that keeps the view cone from a sensor to a target disc free of the robot's links.
+    """Constraint in motion requests that keeps the view cone from a sensor to a target disc free of the
+    robot's links.
 
     The sensor's own link, the link that carries the disc, and attached objects do not count (as in MoveIt).
     World objects are not checked.
@@ -84,8 +86,11 @@ class VisibilityConstraint:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Constraints:
-    """Set of constraints on the motion of a robot or on its goal; all of them must hold at the same time."""
+    """Set of constraints in motion requests, on the motion or on its goal. All constraints must hold at the
+    same time.
+    """
 
     joints: tuple[JointConstraint, ...] = ()
     positions: tuple[PositionConstraint, ...] = ()
@@ -100,7 +105,7 @@ class Constraints:
 @dataclass(frozen=True, eq=False)
 @checked()
 class JointGoal:
-    """Goal of a planning request, given as positions of some joints; the other joints keep their positions.
+    """Goal in motion requests, given as positions of some joints. The other joints keep their positions.
 
     The planner prefers the exact positions and otherwise uses positions within the tolerance. With `turns`, a
     joint may end whole turns away from its goal, as close to the start as its limits allow.
@@ -109,13 +114,14 @@ class JointGoal:
     state: JointState
     tolerance: float = 1e-4  # [rad or m] of each named joint
     turns: bool = False
+    WRITTEN_AS: ClassVar[str] = 'JointGoal(JointState.from_mapping({"joint_1": 0.5}))'
 
 
 @dataclass(frozen=True, eq=False)
 @checked()
 class PoseGoal:
-    """Goal of a planning request, given as the world pose of a link; by default,
-    the link is the planning group's tip.
+    """Goal in motion requests, given as the world pose of a link. By default, the link is the planning
+    group's tip.
 
     The planner prefers the exact pose and otherwise uses one within the tolerances: a ball around the
     position, and a rotation by less than one angle, or less than three angles about the goal's axes.
@@ -125,19 +131,23 @@ class PoseGoal:
     link: str | None = None  # also an attached object
     position_tolerance: float = 1e-4  # [m]
     orientation_tolerance: float | tuple[float, float, float] = 1e-3  # [rad]; pi or more: any
+    WRITTEN_AS: ClassVar[str] = "PoseGoal(SE3.from_xyz(0.4, 0.0, 0.2))"
 
 
 @dataclass(frozen=True)
+@checked()
 class NamedGoal:
-    """Goal of a planning request, given as a named state of the planning group (group_state in the SRDF)."""
+    """Goal in motion requests, given as a named state of the planning group (group_state in the SRDF)."""
 
     name: str
+    WRITTEN_AS: ClassVar[str] = 'NamedGoal("home")'
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class ConstraintGoal:
-    """Goal of a planning request, given as a region:
-    any robot state that satisfies all constraints reaches the goal.
+    """Goal in motion requests, given as a region: any robot state that satisfies all constraints reaches the
+    goal.
 
     The constraints limit position, orientation, region and joint ranges.
     """
@@ -151,13 +161,13 @@ Goal = JointGoal | PoseGoal | NamedGoal | ConstraintGoal
 @dataclass(frozen=True, eq=False)
 @checked()
 class PlanRequest:
-    """Request to plan a collision-free motion of one planning group.
+    """Data type of motion requests: plan a collision-free motion of one planning group.
 
     The defaults are MoveIt's where MoveIt has one.
     """
 
     group: str
-    goals: tuple[Goal, ...]  # the planner may choose any of them
+    goals: tuple[Goal, ...]  # the planner may choose any of them; also a single goal
     start: JointState | None = None  # default: the scene's state; unnamed joints keep the scene's positions
     planner_id: str = "RRTConnect"
     pipeline_id: str = "native"
@@ -177,14 +187,20 @@ class PlanRequest:
     adapters: tuple[str, ...] = ADAPTERS
     arm_clearance: float = 0.02  # [m] between the arms of a multi-arm group, as far as start and goals allow
 
+    def __post_init__(self) -> None:
+        if isinstance(self.goals, Goal):
+            object.__setattr__(self, "goals", (self.goals,))
+
 
 @dataclass(frozen=True, eq=False)
 @checked()
 class CartesianRequest:
-    """Request to move a link through poses on straight lines, as in MoveIt's compute_cartesian_path."""
+    """Data type of Cartesian motion requests: move a link through poses on straight lines, as in MoveIt's
+    compute_cartesian_path.
+    """
 
     group: str
-    waypoints: tuple[SE3, ...]  # T_world_link
+    waypoints: tuple[SE3, ...]  # T_world_link; also a single pose
     link: str | None = None
     start: JointState | None = None
     max_step: float = 0.005  # [m] between checked poses
@@ -197,10 +213,14 @@ class CartesianRequest:
     acceleration_scaling: float = 1.0
     max_cartesian_speed: float | None = None  # [m/s]
 
+    def __post_init__(self) -> None:
+        if isinstance(self.waypoints, SE3):
+            object.__setattr__(self, "waypoints", (self.waypoints,))
+
 
 @dataclass(frozen=True, eq=False)
 class SequenceRequest:
-    """Request for a sequence of motions, with a blend radius [m] at the end of each motion.
+    """Data type of requests for a sequence of motions, with a blend radius [m] at the end of each motion.
 
     With radius 0, the robot stops there.
     """

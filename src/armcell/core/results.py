@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Contact:
-    """Contact between two bodies (links or objects) that touch or are close to each other.
+    """Contact in a result: two bodies (links or objects) that touch or are close to each other.
 
     `distance` [m] is negative in penetration; `position` (3,) is in the world frame [m].
     """
@@ -41,8 +41,8 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class Suggestion:
-    """Suggested change of the scene or of the planning request that may turn a failed request into a
-    successful one.
+    """Suggestion in the result of a failed request: a change of the scene or of the request that may make the
+    request succeed.
 
     Attributes:
         text: the change as an instruction ("move the goal 12 mm along +z").
@@ -58,7 +58,7 @@ class Suggestion:
     works: bool | None = None
 
     def apply(self, scene: Any, request: Any) -> tuple[Any, Any]:
-        """Apply the change that an explanation suggests to copies of a scene and a request, and return the
+        """Apply the change that a result suggests to copies of the scene and the request, and return the
         copies.
         """
         return self.change(scene, request, **self.arguments)
@@ -76,7 +76,8 @@ class Suggestion:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Explanation of a failed request: the causes of the failure, and the changes that would help.
+    """Explanation in the result of a failed request: the causes of the failure, and the changes that would
+    help.
 
     Attributes:
         summary: one line.
@@ -98,7 +99,7 @@ class Explanation:
     data: Mapping[str, Any] = field(default_factory=dict)
 
     def text(self) -> str:
-        """Return the explanation of a failed request as text, with one line per finding."""
+        """Return the explanation in a failed result as text, with one line per finding."""
         lines = [f"{self.code.name}: {self.summary}", *(f"  {line}" for line in self.details)]
         if self.suggestions:
             lines.append("what would help:")
@@ -107,7 +108,7 @@ class Explanation:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the explanation of a failed request as a dictionary that contains only JSON types."""
+        """Return the explanation in a failed result as a dictionary that contains only JSON types."""
         return {
             "code": int(self.code),
             "code_name": self.code.name,
@@ -122,7 +123,7 @@ class Explanation:
 
 
 def to_json_types(value: Any) -> Any:
-    """Convert a value, such as one from the explanation of a failed request, to JSON types.
+    """Convert a value in a result, such as the evidence of a failure, to JSON types.
 
     Non-finite numbers become None, and a pose becomes a mapping of position and quaternion.
     """
@@ -217,7 +218,8 @@ class PlanResult(Outcome):
 
     @cached_property
     def min_clearance(self) -> float:
-        """Return the smallest clearance [m] between the checked pairs of bodies during a planned motion.
+        """Return the smallest clearance [m] in a planning result, between the checked pairs of bodies during
+        the motion.
 
         The value is computed on first access.
         """

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +28,9 @@ QUAT_NORM_TOLERANCE = 1e-3
 
 
 def skew(v: ArrayLike) -> Array:
-    """Return the skew-symmetric matrix (3, 3) of a vector, for which `skew(v) @ w == cross(v, w)`."""
+    """Return the skew-symmetric matrix (3, 3) of a vector, from which rotations are computed: `skew(v) @ w ==
+    cross(v, w)`.
+    """
     x, y, z = np.asarray(v, dtype=float)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -197,6 +200,7 @@ class SE3:
 
     rotation: SO3
     translation: Array  # (3,)
+    WRITTEN_AS: ClassVar[str] = "SE3.from_xyz(0.4, 0.0, 0.2)"
 
     def __post_init__(self) -> None:
         t = self.translation

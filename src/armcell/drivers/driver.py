@@ -59,7 +59,7 @@ class GripperReading:
 
 @dataclass(frozen=True)
 class ContactRecord:
-    """Unexpected contact that a robot driver observed."""
+    """Record of an unexpected contact that a robot driver observed."""
 
     body_a: str
     body_b: str
@@ -134,7 +134,7 @@ class Driver(ABC):
     @property
     @abstractmethod
     def now(self) -> float:
-        """Return the present time [s] on the clock of the robot driver."""
+        """Return the present time [s] on the clock of a robot driver."""
 
     @abstractmethod
     def advance(self, duration: float) -> None:
@@ -191,7 +191,9 @@ class Driver(ABC):
 
     @property
     def safety_events(self) -> Sequence[SafetyEvent]:
-        """Return all stops and resumes of the driver's real arms so far, each with its time and cause."""
+        """Return all stops and resumes of a driver's real arms so far, each with its time and cause. The list
+        is empty for drivers without real arms.
+        """
         return ()
 
     # --- grippers and objects ---
@@ -310,8 +312,8 @@ class Driver(ABC):
     # --- streaming by the robot's clock: Capability.ROBOT_CLOCK ---
     @property
     def latency(self) -> float:
-        """Return how much [s] the measured state of a driver's robot
-        may lag behind the streamed setpoints.
+        """Return how much [s] the joint state that a driver measures may lag behind the streamed
+        setpoints.
         """
         raise self._incapable(Capability.ROBOT_CLOCK)
 
@@ -324,22 +326,22 @@ class Driver(ABC):
 
     @property
     def speed_fraction(self) -> float:
-        """Return the current speed scaling of the driver's slowest arm, as a fraction of full speed (0..1).
-        Speed sliders and pauses reduce the fraction.
+        """Return the current speed scaling of a driver's slowest arm, as a fraction of full speed (0..1), if
+        this kind of driver has speed sliders or pauses.
         """
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     # --- modes: Capability.REPORT_MODES ---
     def arm_modes(self) -> Mapping[str, tuple[int, int]]:
-        """Return the robot mode and safety mode of each arm of a driver,
-        as numbers of `ur_dashboard_msgs`.
+        """Return the robot mode and safety mode of each arm, as numbers of `ur_dashboard_msgs`, if this kind
+        of driver reports modes.
         """
         raise self._incapable(Capability.REPORT_MODES)
 
     # --- twin ---
     def calibrations(self) -> Mapping[str, str]:
-        """Return the checksum of the factory calibration of each real arm of a driver.
-        The mapping is empty without real arms.
+        """Return the checksum of each real arm's factory calibration. Drivers without real arms return an
+        empty mapping.
         """
         return {}
 

@@ -20,16 +20,16 @@ class ExecutionHandle(Protocol):
     """
 
     def trajectory_time(self) -> float | None:
-        """Return the robot's progress [s] along a trajectory that it plays itself. The speed slider and
-        pauses slow the progress.
+        """Return the progress [s] of the execution of a trajectory that the robot plays itself. The speed
+        slider and pauses slow the progress.
 
         None if the robot does not report its progress; `state` then returns the outcome at the end.
         """
         ...
 
     def state(self) -> str | Outcome:
-        """Return the state of a trajectory that the robot plays itself: "running", "done", "cancelled", or
-        the reason why it was aborted.
+        """Return the execution state of a trajectory that the robot plays itself: "running", "done",
+        "cancelled", or the reason why it was aborted.
 
         An outcome is the robot's own decision, which the joint states need not confirm.
         """
@@ -41,8 +41,8 @@ class ExecutionHandle(Protocol):
 
 
 class SetpointHistory:
-    """History of the streamed setpoints of a trajectory. It maps the clock time for which each setpoint was
-    scheduled to the setpoint's time along the trajectory.
+    """History from which an execution handle derives the progress of a streamed trajectory. It maps the time
+    at which each setpoint is due to the setpoint's time on the trajectory.
     """
 
     KEPT = 200  # points
@@ -51,8 +51,8 @@ class SetpointHistory:
         self._points: deque[tuple[float, float, NDArray[np.float64] | None]] = deque(maxlen=self.KEPT)
 
     def record(self, when: float, clock: float, off: NDArray[np.float64] | None = None) -> None:
-        """Record a setpoint that was streamed to follow a trajectory: the time at which it is due,
-        and its time on the trajectory.
+        """Record a setpoint streamed to execute a trajectory: the time at which the setpoint is due, and its
+        time on the trajectory.
 
         Args:
             when: monotonic time [s] at which the point is due.
@@ -62,8 +62,8 @@ class SetpointHistory:
         self._points.append((when, clock, off))
 
     def at(self, when: float) -> tuple[float, NDArray[np.float64] | None]:
-        """Look up the streamed setpoint that is due at a monotonic time [s]. Return its time on the
-        trajectory [s] and its offset (n,) from the trajectory.
+        """Look up the setpoint of an executed trajectory that is due at a monotonic time [s]. Return its time
+        on the trajectory [s] and its offset (n,) from the trajectory.
 
         Before the first and after the last recorded point, the nearest one applies.
         """

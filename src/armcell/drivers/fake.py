@@ -19,6 +19,7 @@ from armcell.scene import PlanningScene
 from armcell.sim import Pacer
 
 FINGER_SPEED = 0.1  # [m/s] rate of the opening width
+DEPTHS = 5  # points between the TCP and the ends of the pads at which jaws may grasp an object
 
 
 class FakeDriver(Driver):
@@ -124,18 +125,20 @@ class FakeDriver(Driver):
 
     def _between(self, gripper: str) -> str | None:
         """Return the object that a fake gripper grasps, or None. Jaws grasp the object whose bounding
-        box contains the TCP; a suction cup grasps an object within reach of its lip.
+        box contains the TCP or, if there is none, the nearest point before it between the ends of the pads;
+        a suction cup grasps an object within reach of its lip.
         """
-        g = self._model.gripper(gripper)
-        points = [self._tcp(gripper).translation]
+        g, tcp = self._model.gripper(gripper), self._tcp(gripper)
+        points = [tcp.apply((0.0, 0.0, depth)) for depth in np.linspace(0.0, g.pad_depth, DEPTHS)]
         if isinstance(g, SuctionGripper):
             cups = [self._tree.link_pose(self._q, cup.link) @ cup.T_link_cup for cup in g.cups]
             points = [T.apply((0.0, 0.0, cup.stroke)) for T, cup in zip(cups, g.cups, strict=True)]
-        for name, pose in self._poses.items():
-            low, high = self._scene.object(name).bounds()
-            local = pose.inverse().apply(np.array(points))
-            if np.any(np.all((local >= low) & (local <= high), axis=1)):
-                return name
+        for point in points:
+            for name, pose in self._poses.items():
+                low, high = self._scene.object(name).bounds()
+                local = pose.inverse().apply(point)
+                if np.all((local >= low) & (local <= high)):
+                    return name
         return None
 
     def _blocked_width(self, gripper: str) -> float:

@@ -144,10 +144,11 @@ class Supervisor:
 
 
 class ExecutionMonitor(Protocol):
-    """Interface for monitoring a motion that is streamed to a real arm point by point."""
+    """Safety interface for monitoring a motion that is streamed to a real arm point by point."""
 
     def record_setpoint(self, clock: float, off: Array) -> None:
-        """Record a streamed point, so that the motion guard can compare it with the dry run.
+        """Record a streamed point in a safety monitor, so that the motion guard can compare the point with
+        the dry run.
 
         Args:
             clock: time of the point on the trajectory [s].
@@ -158,16 +159,14 @@ class ExecutionMonitor(Protocol):
     def check(self) -> None: ...
 
     def end(self, how: str) -> None:
-        """End the monitoring of a motion by the motion guard. `how` is
-        "done" or the reason why the motion failed.
-        """
+        """End the safety monitoring of a motion. `how` is "done" or the reason why the motion failed."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ArmSample:
-    """One measurement of a real arm. The motion guard compares it with the simulated dry run of the same
-    motion.
+    """Safety sample: one measurement of a real arm, which the motion guard compares with the simulated dry
+    run of the same motion.
 
     Attributes:
         positions: (n,) [rad].
@@ -185,8 +184,8 @@ class ArmSample:
 
 
 class GuardedArm(Protocol):
-    """Interface through which a motion guard reads a real arm's measurements and sets its speed slider.
-    `real.RealArm` implements this interface.
+    """Safety interface through which a motion guard reads a real arm's measurements and sets its speed
+    slider. `real.RealArm` implements this interface.
     """
 
     name: str
@@ -204,7 +203,7 @@ class GuardedArm(Protocol):
 
 
 class DryRunSimulation(Protocol):
-    """Interface of the simulation in which a motion guard dry-runs motions. Callers use it to declare
+    """Safety interface of the simulation in which a motion guard dry-runs motions. Callers use it to declare
     expected contacts and to watch held objects.
     """
 
@@ -216,7 +215,8 @@ class DryRunSimulation(Protocol):
 
 
 class MotionGuard(Protocol):
-    """Interface of a guard that dry-runs the motions of real arms and compares the arms with the simulation.
+    """Safety interface of a motion guard, which dry-runs the motions of real arms and compares the arms with
+    the simulation.
 
     Attributes:
         trips: shortest recent network round trip [s], by arm.

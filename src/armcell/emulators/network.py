@@ -145,8 +145,8 @@ class Datagrams:
         return self.loss > 0.0 and bool(self._network.faults.rng.random() < self.loss)
 
     def receive(self, size: int) -> list[bytes]:
-        """Return the UDP datagrams, of at most `size` bytes each, that have arrived at an emulated
-        controller.
+        """Return the UDP datagrams, of at most `size` bytes each, that an emulated controller has received
+        from the network.
         """
         found = []
         while True:
@@ -234,8 +234,8 @@ class Network:
             self._selector.register(sock, selectors.EVENT_READ, accept)
 
     def connect(self, host: str, port: int) -> TcpConnection | None:
-        """Open an outgoing TCP connection from an emulated controller. Return None if the host does not
-        answer.
+        """Open an outgoing TCP connection in the network of an emulated controller. Return None if the host
+        does not answer.
         """
         try:
             sock = socket.create_connection((host, port), timeout=0.05)

@@ -79,7 +79,8 @@ AnyController = TypeVar("AnyController", bound=EmulatedController)
 
 
 class Rack(Generic[AnyController]):
-    """Event loop that runs several emulated robot controllers in one thread, paced by wall time.
+    """Rack of emulated robot controllers: an event loop that runs several controllers in one thread, paced by
+    wall time.
 
     Args:
         controllers: controllers on one selector.
@@ -180,21 +181,23 @@ class Rack(Generic[AnyController]):
 
 
 class SharedPlant(Protocol):
-    """Interface of an emulated arm in a shared world."""
+    """Interface of an emulated arm in the physics world that the controllers of a rack share."""
 
     def set_joint_targets(self, time: float) -> None:
-        """Set the joint targets of an emulated arm in the shared world for the next physics step, which ends
-        at the world time `time` [s].
+        """Set the joint targets of an emulated arm in the rack's shared world for the next physics step,
+        which ends at the world time `time` [s].
         """
         ...
 
     def follow_reset(self) -> None:
-        """Let an emulated arm continue from its initial state after the shared world was reset."""
+        """Let an emulated arm in the rack continue from its initial state after the shared world was
+        reset.
+        """
         ...
 
 
 class SharedWorld:
-    """Physics world that the plants of one or several emulated arms share.
+    """Physics world that the plants of the emulated arms in a rack share.
 
     Each plant is driven by its own emulated controller. The plants with the shortest control period advance
     the world, each by an equal part of the period.
@@ -207,18 +210,20 @@ class SharedWorld:
         self._owed = 0.0  # [s]
 
     def join(self, plant: SharedPlant, period: float) -> None:
-        """Add an emulated arm to the shared world. Its controller calls `advance` once per period [s]."""
+        """Add an emulated arm to the shared world of a rack. The arm's controller calls `advance` once per
+        period [s].
+        """
         self._plants.append(plant)
         self._periods.append(period)
 
     def reset(self) -> None:
-        """Reset all emulated arms and all objects in the shared world to their initial state."""
+        """Reset all emulated arms of the rack and all objects in the shared world to their initial state."""
         self.world.reset()
         for plant in self._plants:
             plant.follow_reset()
 
     def advance(self, period: float) -> None:
-        """Advance the shared physics world after a control period [s] of one arm. If n arms have the shortest
+        """Advance the rack's shared world after a control period [s] of one arm. If n arms have the shortest
         period, each of them advances the world by 1/n of this period; slower arms do not advance the world.
 
         A remainder of less than one time step is kept for later.
@@ -236,8 +241,8 @@ class SharedWorld:
 
 
 class EmulatedKind(Protocol):
-    """Interface of one robot kind's emulator, which creates an emulated controller for each arm of this kind
-    in a cell.
+    """Interface of one robot kind's emulator, which creates the controllers of a rack: one for each arm of
+    this kind in a cell.
 
     Attributes:
         physics: physics settings that the emulated drives need.
@@ -249,7 +254,7 @@ class EmulatedKind(Protocol):
         self, group: str, arm: Any, shared: SharedWorld, io: selectors.BaseSelector,
         say: Callable[[str], None],
     ) -> EmulatedController:  # fmt: skip
-        """Return an emulated controller of this kind, whose ports are still closed.
+        """Create an emulated controller for a rack. The controller's ports are still closed.
 
         Args:
             group: planning group of the arm.

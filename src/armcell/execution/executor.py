@@ -43,7 +43,7 @@ def execute(
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
 ) -> ExecutionResult:
-    """Execute a trajectory to its end, and wait until the arm is at rest at the goal.
+    """Execute a trajectory to its end with the executor, and wait until the arm is at rest at the goal.
 
     Args:
         motion: motion from a `MotionGate`, which checks it for collisions first; setting it stops the arm.
@@ -90,7 +90,8 @@ def execution_steps(
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
 ) -> ExecutionSteps:
-    """Execute a motion as a generator: each call of `next` sends the driver the commands for its next period.
+    """Execute a motion with the executor as a generator: each call of `next` sends the driver the commands
+    for its next period.
 
     The caller advances the driver's clock between two steps. Several of these generators, for different
     joints, can run on one driver at the same time. Arguments and result are those of `execute`.
@@ -174,8 +175,8 @@ class _Execution:
 
     # --- before the motion ---
     def _check_start(self, measured: JointState) -> ExecutionResult | None:
-        """Check before execution whether the arm is at the start of the trajectory; return a failure if it is
-        not, else None.
+        """Check before the executor runs whether the arm is at the start of the trajectory; return a failure
+        if it is not, else None.
         """
         error, column = largest(np.abs(measured.positions - self.trajectory.positions[0]))
         tolerance, code = self.settings.start_tolerance, ErrorCode.CONTROL_FAILED
@@ -192,8 +193,8 @@ class _Execution:
         )  # fmt: skip
 
     def _dry_run(self) -> ExecutionResult | None:
-        """Dry-run a motion in simulation before its execution; return a failure if the dry run refuses the
-        motion, else None.
+        """Dry-run a motion in simulation before the executor executes it; return a failure if the dry run
+        refuses the motion, else None.
         """
         dry_runs = Capability.DRY_RUN in self.driver.capabilities
         refused = self.driver.dry_run(self.trajectory) if dry_runs else None
@@ -201,8 +202,8 @@ class _Execution:
 
     # --- the motion ---
     def _move(self, source: SetpointSource) -> Generator[None, None, Outcome]:
-        """Send the setpoints of an executed motion until the arm is at rest at the goal, and return the
-        outcome.
+        """Send the setpoints of a motion from the executor until the arm is at rest at the goal, and return
+        the outcome.
         """
         while True:
             if source.complete and (outcome := self._settle(source)) is not None:
@@ -220,8 +221,8 @@ class _Execution:
                 return outcome
 
     def _check(self, source: SetpointSource) -> Outcome | None:
-        """Compare the moving arm with its setpoints; return the outcome that ends the motion, or None to
-        continue.
+        """Compare the moving arm with the executor's setpoints; return the outcome that ends the motion, or
+        None to continue.
         """
         found = source.tracking_error()
         if found is not None:
@@ -235,7 +236,7 @@ class _Execution:
         return None
 
     def _settle(self, source: SetpointSource) -> Outcome | None:
-        """Check whether the arm is at rest at the goal of the executed motion. Return success if it is, a
+        """Check whether the arm is at rest at the goal of the executor's motion. Return success if it is, a
         failure after the time limit, or None to keep waiting.
         """
         state = self.driver.joint_state()
@@ -257,7 +258,7 @@ class _Execution:
 
     # --- results ---
     def _fault(self) -> Outcome | None:
-        """Return a failure if the robot reports a fault that stops the executed motion, else None."""
+        """Return a failure if the robot reports a fault that stops the executor's motion, else None."""
         fault = self.driver.fault()
         if fault is None:
             return None
@@ -287,8 +288,8 @@ class _Execution:
 def blend_from(
     measured: JointState, trajectory: JointTrajectory, settings: ExecutionSettings
 ) -> JointTrajectory | None:
-    """Return a quintic blend from an arm's current motion into a new trajectory, or None if the arm is at
-    rest.
+    """Return a quintic blend with which the executor passes from an arm's current motion into a new
+    trajectory, or None if the arm is at rest.
 
     The blend is an offset from the trajectory that ends at zero position and velocity.
     """

@@ -120,8 +120,8 @@ class MotionGate:
         ignore: GuardedMotion | None = None,
         planned: PlanningScene | None = None,
     ) -> Conflict | None:
-        """Return the first collision on the remaining part of a motion, with the scene or with another
-        running motion. Return None if there is no collision.
+        """Return the first collision that the motion gate finds on the rest of a motion, with the scene or
+        with another running motion. Return None if there is no collision.
 
         Args:
             ignore: a running motion to ignore, usually the motion under test.
@@ -148,7 +148,8 @@ class MotionGate:
 
 
 class Executable(threading.Event, ABC):
-    """Base class of the motions that the executor accepts; the executor rejects a bare trajectory.
+    """Base class of the motions that the executor accepts, guarded by a motion gate or explicitly ungated.
+    The executor rejects a bare trajectory.
 
     A motion gate checks a `GuardedMotion`; an `UngatedMotion` is executed without a check. Every motion is a
     `threading.Event`: call `set()` to stop it.
@@ -194,7 +195,8 @@ def executable(motion: object) -> Executable:
 
 
 class UngatedMotion(Executable):
-    """Motion that is executed without collision checks, for dry runs, tests and benchmarks.
+    """Motion that is executed without the collision checks of a motion gate, for dry runs, tests and
+    benchmarks.
 
     Contacts in such a simulation are findings.
     """
@@ -279,7 +281,7 @@ class GuardedMotion(Executable):
 
     # --- collision check ---
     def remaining_motion(self, scene: PlanningScene) -> ActiveMotion:
-        """Return the part of a guarded motion that the arm has not executed yet.
+        """Return the part of a motion guarded by the motion gate that the arm has not executed yet.
 
         Args:
             scene: measured scene; its joint state gives the progress if motions do not follow the clock.
@@ -307,8 +309,8 @@ class GuardedMotion(Executable):
         ]  # fmt: skip
 
     def _prove(self, names: Iterable[str] = ()) -> None:
-        """Check the rest of a guarded motion for collisions.
-        If `names` is given, check it only against these objects.
+        """Let the motion gate check the rest of a guarded motion for collisions. If `names` is given, check
+        it only against these objects.
         """
         self._proven_for = (self._world.base, self._gate.version)
         scene = self._scene()

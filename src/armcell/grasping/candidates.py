@@ -225,8 +225,8 @@ def _sampled(
     batches: Iterable[Proposals], item: CollisionObject, surface: Surface, hand: Hand, up: Array,
     on_support: bool, pose_error: float,
 ) -> _Fitted | SuctionCandidates:  # fmt: skip
-    """Check batches of proposed grasps for whether the hand fits the object, until there are enough good
-    grasps or the generator has no more proposals.
+    """Check for batches of grasp candidates whether the hand fits the object, until there are enough good
+    candidates or the generator has no more proposals.
     """
     found, best = None, -np.inf
     for proposals in batches:

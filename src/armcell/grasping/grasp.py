@@ -34,8 +34,8 @@ LIFT_ACCELERATION = 3.0  # [m/s^2] assumed acceleration of the held object, in a
 
 @dataclass(frozen=True, eq=False)
 class PadContact:
-    """Contact patch between an object and a gripper's soft finger pad, with surface friction and torsional
-    friction.
+    """Contact of a grasp: the patch between an object and a soft finger pad, with surface friction and
+    torsional friction.
     """
 
     point: F64  # (3,) [m] center of the patch
@@ -44,8 +44,8 @@ class PadContact:
 
     @staticmethod
     def of(row: F64) -> PadContact:
-        """Create the contact between a gripper's pad and an object from one
-        row (8,) of the array that `hand_fit_kernel.fit` returns.
+        """Create a pad contact of a grasp from one row (8,) of the array of contacts that
+        `hand_fit_kernel.fit_hand` returns.
         """
         row = float_array(row, (8,), "a row", finite=False)
         return PadContact(row[:3].copy(), row[3:6].copy(), float(row[7]))
@@ -91,7 +91,7 @@ def openings(grasp: Grasp, gripper: Gripper) -> Iterator[Grasp]:
 
 @dataclass(frozen=True)
 class Rejection:
-    """A grasp candidate that was rejected, with the reason."""
+    """Rejected grasp: the candidate's name and the reason."""
 
     name: str
     reason: str
@@ -100,7 +100,7 @@ class Rejection:
 
 
 def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
-    """Return the `Rejection` of the grasp candidate that passed the most checks, or None.
+    """Return the rejected grasp that passed the most checks, as a `Rejection`, or None.
 
     Among equals, the candidate with the smallest excess wins.
     """
@@ -108,7 +108,7 @@ def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
 
 
 def why_none(rejected: list[Rejection], covered: float) -> str:
-    """Explain in one line, from the list of rejections, why an object has no grasp candidate.
+    """Explain in one line, from the list of rejected grasps, why no grasp of an object is possible.
 
     Args:
         covered: share of the surface that was tried, from 0 to 1.
@@ -122,15 +122,15 @@ def why_none(rejected: list[Rejection], covered: float) -> str:
 
 
 def rejection_sort_key(rejection: Rejection) -> tuple[int, float]:
-    """Return the sort key of a `Rejection`. Candidates that passed more checks come first; at equal numbers
-    of checks, the candidate that missed the next limit by less comes first.
+    """Return the sort key of a rejected grasp. Grasps that passed more checks come first; at equal numbers of
+    checks, the grasp that missed the next limit by less comes first.
     """
     return -rejection.passed, rejection.excess
 
 
 def holding_factor(friction: float, torsional_friction: float, lever: F64, patch: F64) -> F64:
-    """Return the factor by which the grip force must grow because the weight does not act on the line through
-    the contacts.
+    """Return the factor by which the force of a grasp must grow because the weight does not act on the line
+    through the contacts.
 
     A soft finger pressed with F holds a force f along the surface and a torque t about its normal while
     (f / (mu F))^2 + (t / (g F))^2 <= 1 (Howe and Cutkosky 1996), with g = mu r + the torsional coefficient
@@ -145,8 +145,8 @@ def holding_factor(friction: float, torsional_friction: float, lever: F64, patch
 
 
 def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
-    """Return the friction coefficient between an object and its support
-    as MuJoCo combines it, to compute a grip force.
+    """Return the friction coefficient between an object and its support as MuJoCo combines it, to compute the
+    grip force of a grasp.
 
     MuJoCo takes the material of the geom with the higher priority, and the larger coefficient if priorities
     are equal ("Contact parameters" in its XML reference). Movable objects have the higher priority.
@@ -156,7 +156,7 @@ def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
 
 
 def needed_force(item: CollisionObject) -> float:
-    """Return the minimum grip force per finger [N] that holds an object gripped at its center of mass.
+    """Return the minimum grip force per finger [N] with which a grasp at the center of mass holds the object.
 
     Coulomb friction: m (g + a) / (2 mu).
     """
@@ -164,14 +164,14 @@ def needed_force(item: CollisionObject) -> float:
 
 
 def firm_force(needed: float, gripper: Gripper) -> float:
-    """Return a grip force per finger [N] that includes a safety factor and does not exceed the gripper's
-    maximum.
+    """Return the grip force per finger [N] of a firm grasp, which includes a safety factor and does not
+    exceed the gripper's maximum.
     """
     return float(np.clip(needed * SAFETY, MIN_FORCE, gripper.max_force))
 
 
 def grip_force(item: CollisionObject, gripper: Gripper) -> float:
-    """Return the grip force per finger [N] for an object that is gripped at its center."""
+    """Return the grip force per finger [N] of a firm grasp at an object's center."""
     return firm_force(needed_force(item), gripper)
 
 

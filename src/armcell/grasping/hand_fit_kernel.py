@@ -20,8 +20,8 @@ WIDER, MARGIN = 1.125, 0.010  # opening before the approach: factor on the width
 
 @njit(cache=True)
 def cast(origins, directions, triangles):
-    """Cast rays from the surface of a mesh into its interior and find where they leave the mesh,
-    in the compiled grasp kernel.
+    """Cast rays from the surface of a mesh into its interior and find where they leave the mesh, in the
+    compiled hand-fit kernel.
 
     Several solids may touch or overlap: a ray has left the solids when it is in none of them.
 
@@ -88,8 +88,8 @@ def cast(origins, directions, triangles):
 
 @njit(cache=True)
 def _lowest(R, p, box, up, shift):
-    """Return the height [m] along `up` of the lowest point of one box of the hand. Part of the compiled check
-    whether the hand fits around an object.
+    """Return the height [m] along `up` of the lowest point of one box of the hand, in the compiled hand-fit
+    kernel.
 
     The box is moved by `shift` along the hand's y axis.
     """
@@ -108,7 +108,7 @@ def _lowest(R, p, box, up, shift):
 
 @njit(cache=True)
 def pre_opening(width, max_width, pose_error):
-    """Return how far [m] the fingers open before they grasp an object, in the compiled grasp kernel.
+    """Return how far [m] the fingers open before they grasp an object, in the compiled hand-fit kernel.
 
     The fingers pass the object if its true pose differs from the believed one by `pose_error` [m].
     """
@@ -117,7 +117,7 @@ def pre_opening(width, max_width, pose_error):
 
 @njit(cache=True)
 def depth_on_approach(q, palm, left, right, approach, opening, gap):
-    """Return how deep [m] an open hand enters an object on its straight approach, in the compiled grasp
+    """Return how deep [m] an open hand enters an object on its straight approach, in the compiled hand-fit
     kernel.
 
     Args:
@@ -143,7 +143,7 @@ def fit_hand(
     poses, points, normals, palm, left, right, pad, thinnest, max_width, up, floor, approach, pose_error=0.0,
     deep=False,
 ):  # fmt: skip
-    """Fit a hand around the surface points of an object at each grasp pose, in the compiled grasp kernel.
+    """Fit a hand around the surface points of an object at each grasp pose, in the compiled hand-fit kernel.
 
     The function centers the hand between the surfaces that the pads touch, moves it back until palm and
     support are clear, opens it for the object, and checks its straight approach. Where possible, the hand

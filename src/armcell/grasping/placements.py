@@ -50,8 +50,8 @@ class Placement:
 
 
 def surface_for(item: CollisionObject, support: CollisionObject) -> tuple[SE3, float, float]:
-    """Return the surface of a support on which an object can be placed
-    such that friction holds it with a safety margin.
+    """Return the surface of a support for placements of an object, on which friction holds the object with a
+    safety margin.
 
     The result is that of `support_surface`.
 

@@ -119,8 +119,8 @@ def _tilted(shape: object, T: SE3) -> Iterator[Found]:
 
 
 def _tilted_faces(mesh: Mesh, T: SE3) -> Iterator[Found]:
-    """Yield the tilted planar faces of a mesh that are nearly rectangular, as surfaces on which objects can
-    be placed.
+    """Yield the tilted planar faces of a mesh that are nearly rectangular, as support surfaces for other
+    objects.
     """
     triangles = T.apply(mesh.vertices)[mesh.faces]
     normal, area = _normals(triangles)
@@ -157,8 +157,8 @@ def _along_an_edge(corners: Array, normal: Array) -> Array:
 
 # --- common helpers ---
 def _side(shape: Box | Cylinder, T: SE3, axis: int, sign: float, normal: Array) -> Found:
-    """Return the face of a box or cylinder at the positive or negative end of one of its axes, as a surface
-    on which objects can be placed.
+    """Return the face of a box or cylinder at the positive or negative end of one of its axes, as a support
+    surface for other objects.
     """
     x, y = [k for k in range(3) if k != axis]
     half = shape.half_extents

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 @checked()
 class TopDownGraspSettings:
-    """Settings for grasping pieces out of a heap from above; lengths in meters."""
+    """Settings for top-down grasps of pieces in a heap; lengths in meters."""
 
     turns: int = 16  # hand orientations over half a circle
     depths: tuple[float, ...] = (0.054, 0.040, 0.028, 0.018, 0.010)  # fingertip depths below the top
@@ -44,7 +44,7 @@ class TopDownGraspSettings:
 
 @dataclass(frozen=True, eq=False)
 class HeapGrasp(Grasp):
-    """Grasp of one piece of a heap from above, with the tcp pose in the world frame."""
+    """Top-down grasp of one piece in a heap, with the tcp pose in the world frame."""
 
     piece: int = -1
     tip: float = 0.0  # [m, world z] height of the fingertips
@@ -61,8 +61,8 @@ def top_down_grasps(
     settings: TopDownGraspSettings = TopDownGraspSettings(),
     avoid: Sequence[tuple[float, float, float]] = (),
 ) -> list[HeapGrasp]:
-    """Return grasp candidates for the pieces of a heap, sorted from best to worst. The hand approaches each
-    piece from above.
+    """Return top-down grasp candidates for the pieces of a heap, sorted from best to worst. The hand
+    approaches each piece from above.
 
     Args:
         labels: (nx, ny) piece number of each cell, -1 for none.
@@ -152,7 +152,9 @@ def _only_pieces(
 
 
 def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the centers (k, 2) [m, world] and radii (k,) [m] of the pieces in a heap, seen from above."""
+    """Return the centers (k, 2) [m, world] and radii (k,) [m] of the pieces in a heap, seen from above, for
+    top-down grasps.
+    """
     index = np.argwhere(labels >= 0)
     number = labels[index[:, 0], index[:, 1]]
     xy, count = seen.at(index)[:, :2], int(number.max()) + 1
@@ -164,8 +166,8 @@ def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _down(at: Array, z: float, turn: float) -> SE3:
-    """Return the pose T_world_tcp of a grasp from above:
-    the hand points down and is turned about z by an angle.
+    """Return the pose T_world_tcp of a top-down grasp: the hand points down and is turned about z by an
+    angle.
     """
     y = np.array([np.cos(turn), np.sin(turn), 0.0])
     approach = np.array([0.0, 0.0, -1.0])

@@ -12,7 +12,9 @@ POINT = 1e9  # slant of a side with only one point
 
 @njit(cache=True)
 def _height(heights, x0, y0, resolution, x, y):
-    """Return the height at (x, y) on a height map, for grasps from above; -1e9 outside the map."""
+    """Return the height at (x, y) on a height map, in the compiled kernel for top-down grasps; -1e9 outside
+    the map.
+    """
     i = int(np.floor((x - x0) / resolution + 0.5))
     j = int(np.floor((y - y0) / resolution + 0.5))
     if i < 0 or j < 0 or i >= heights.shape[0] or j >= heights.shape[1]:
@@ -22,8 +24,8 @@ def _height(heights, x0, y0, resolution, x, y):
 
 @njit(cache=True)
 def _slope(x, y):
-    """Return the absolute slope of a piece's side on a height map, for grasps from above: the median slope
-    over all pairs of the side's points.
+    """Return, in the compiled kernel for top-down grasps, the absolute slope of a piece's side on a height
+    map: the median slope over all pairs of the side's points.
 
     The estimator (Theil and Sen) is robust against a few outliers, which cameras produce at edges.
     """
@@ -40,7 +42,7 @@ def _slope(x, y):
 
 @njit(cache=True)
 def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, palm, opens, rules):
-    """Search a height map for all poses at which a hand fits around a piece from above, in a compiled kernel.
+    """Search a height map for all top-down poses at which a hand fits around a piece, in a compiled kernel.
 
     A pose is a cell, a rotation and a depth. The hand points down and closes along (cos a, sin a). On a
     height map, a piece is as wide at the fingertips as anywhere above them, because overhangs hide the space

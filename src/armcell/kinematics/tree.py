@@ -138,8 +138,8 @@ class KinematicTree:
         return self._forward(self.parent, q)
 
     def joint_transforms(self, q: ArrayLike) -> Array:
-        """Return for each joint the pose of its child link relative to its parent link, as matrices
-        T_parent_child (joints, 4, 4), at joint positions q (dof,).
+        """Return the pose of each joint's child link relative to its parent link in a kinematic tree, as
+        matrices T_parent_child (joints, 4, 4), at joint positions q (dof,).
         """
         return self._forward(np.zeros_like(self.parent), q)[1:]
 

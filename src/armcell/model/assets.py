@@ -72,7 +72,9 @@ class FoundPackage:
 
 
 def extra_hint(package: str) -> str:
-    """Return the command that installs a package of robot descriptions with one of armcell's extras."""
+    """Return the pip command that installs a package of robot assets (descriptions and meshes) with one of
+    armcell's extras.
+    """
     return f"pip install 'armcell[{EXTRAS[package]}]'"
 
 
@@ -90,15 +92,15 @@ def search_folders() -> list[Path]:
 
 
 def package_above(path: Path) -> Path | None:
-    """Return the ROS package folder that contains `path`, or None.
-    A `package://` URI can refer to this folder.
+    """Return the ROS package folder that contains the robot asset at `path`, or None. A `package://` URI can
+    refer to this folder.
     """
     return next((folder for folder in path.parents if os.path.isfile(folder / PACKAGE_FILE)), None)
 
 
 def find_package(package: str, base: Path) -> FoundPackage:
-    """Find the ROS package that a `package://` URI names: near `base`,
-    in the search path, or in pip's folders.
+    """Find the ROS package with robot assets that a `package://` URI names: near `base`, in the search path,
+    or in pip's folders.
 
     The search starts with the folders above and beside `base`. There, only a folder with a package.xml counts
     as a package; otherwise a file below /home/me could claim /home as its package.
@@ -125,7 +127,7 @@ def find_package(package: str, base: Path) -> FoundPackage:
 
 
 def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
-    """Yield candidate folders of the ROS package in a `package://` URI, in search order: above the robot
+    """Yield folders in which to look for the assets of a `package://` URI, in search order: above the robot
     file, in the ROS search path, then in the workspace. The folder of `--package` comes first.
 
     Each folder comes with a flag: whether it is from the ROS search path or from pip's folders.
@@ -153,8 +155,8 @@ def _ros_package_path() -> list[Path]:
 
 
 def _workspaces(base: Path) -> Iterator[Path]:
-    """Yield folders that may contain a robot's ROS package and the other packages that this package depends
-    on.
+    """Yield workspace folders in which to search for a robot's assets: its ROS package and the other packages
+    that this package depends on.
 
     They are the folders above the package, up to the folder `src` of a colcon or catkin workspace.
     """
@@ -171,7 +173,9 @@ def _workspaces(base: Path) -> Iterator[Path]:
 
 
 def _packages_below(folder: Path, depth: int) -> dict[str, list[Path]]:
-    """Return the ROS packages below a folder by the names in their package.xml, as rospack finds them."""
+    """Return the ROS packages below a folder, to search for robot assets, by the names in their package.xml,
+    as rospack finds them.
+    """
     try:
         return _crawled(folder, depth, folder.stat().st_mtime_ns)
     except OSError:
@@ -276,8 +280,8 @@ def _checked(path: Path) -> Path:
 
 
 def _scale_to_meters(path: Path, scale: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Convert the scale (3,) of a mesh file to meters: multiply it by the length unit [m] that a COLLADA file
-    declares, as RViz and Gazebo do.
+    """Convert the scale (3,) of a mesh asset to meters: multiply it by the length unit [m] that a COLLADA
+    file declares, as RViz and Gazebo do.
 
     Other formats have no unit: their numbers are meters.
     """
@@ -337,8 +341,8 @@ def _read_mesh(
 def _sound(
     vertices: ArrayLike, faces: ArrayLike, scale: tuple[float, float, float], path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Check the arrays that were read from a robot's mesh file.
-    Return the scaled vertices (v, 3) [m] and the faces (f, 3).
+    """Check the arrays that were read from the mesh file of a robot asset. Return the scaled vertices (v, 3)
+    [m] and the faces (f, 3).
 
     The mesh libraries do not check the arrays that they read.
 
@@ -371,7 +375,7 @@ DEFAULT_COLOR: Color = (0.75, 0.75, 0.77, 1.0)
 def load_visual_parts(
     path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> tuple[tuple[Mesh, Color], ...]:
-    """Load the visual mesh file of a robot as meshes [m]: one for each material, with its RGBA color (0..1).
+    """Load the visual mesh asset of a robot as meshes [m]: one for each material, with its RGBA color (0..1).
 
     Raises:
         InputError: the file is not readable as a mesh or has no triangles.
@@ -404,7 +408,7 @@ def load_visual_parts(
 
 
 def visual_parts(visual: Visual) -> tuple[tuple[Mesh, Color], ...]:
-    """Load the meshes [m, visual frame] of a link's visual element, with their RGBA colors.
+    """Load the mesh assets of a link's visual element [m, visual frame], with their RGBA colors.
 
     A mesh file that cannot be read is logged and yields no meshes: an image without one link is better than
     no run.
@@ -420,7 +424,7 @@ def visual_parts(visual: Visual) -> tuple[tuple[Mesh, Color], ...]:
 
 
 def _read_visual_parts(path: Path, scale: tuple[float, float, float]) -> tuple[tuple[Mesh, Color], ...]:
-    """Read the visual mesh file of a robot as meshes [m], one for each material, with its RGBA color."""
+    """Read a visual mesh asset of a robot as meshes [m], one for each material, with its RGBA color."""
     import trimesh
 
     try:
@@ -441,7 +445,7 @@ def _read_visual_parts(path: Path, scale: tuple[float, float, float]) -> tuple[t
 
 
 def _own_color(part: trimesh.Trimesh) -> Color:
-    """Return the RGBA color that a robot's mesh file defines: the color of the material, or else the mean
+    """Return the RGBA color that a mesh asset of a robot defines: the color of the material, or else the mean
     color of the faces.
     """
     source = getattr(part.visual, "material", None) or part.visual
@@ -471,7 +475,7 @@ def _merged(parts: list[trimesh.Trimesh], scale: tuple[float, float, float], pat
 def decimated(
     vertices: NDArray[np.float64], faces: NDArray[Any], max_faces: int
 ) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Reduce a mesh for drawing to about `max_faces` triangles by vertex clustering.
+    """Decimate a mesh asset for drawing, to about `max_faces` triangles, by vertex clustering.
 
     The clustering grid coarsens until the mesh has at most `max_faces` triangles. No vertex moves by more
     than the diagonal of a grid cell. Never use the result for collision checking.

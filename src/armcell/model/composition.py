@@ -134,8 +134,8 @@ def compose(name: str, parts: Sequence[MountedRobot]) -> RobotModel:
 
 
 def hand_alone(model: RobotModel, gripper: Gripper) -> RobotModel:
-    """Return a robot model of a hand without its arm.
-    It contains the gripper's links and all links below them.
+    """Return a robot model that consists of a hand without its arm: the gripper's links and all links below
+    them.
 
     The root link is the lowest link above all links of the gripper. The new model has no planning groups, end
     effectors or named states; the gripper and its joints are unchanged.
@@ -175,7 +175,7 @@ def with_frame(model: RobotModel, name: str, parent: str, T_parent_frame: SE3) -
 
 
 def with_whole_fingers(model: RobotModel) -> RobotModel:
-    """Return the robot with one solid link per finger: the collision shapes of links that are fixed to a
+    """Compose each finger of the robot into one solid link: the collision shapes of links that are fixed to a
     finger, such as exchangeable finger tips, become shapes of the finger's link.
 
     Grasp planning and physics know a finger by its link. A finger that is fixed to the palm keeps its shapes.
@@ -197,8 +197,8 @@ def with_whole_fingers(model: RobotModel) -> RobotModel:
 
 
 def finger_parts(model: RobotModel) -> dict[str, str]:
-    """Return the finger of each link that is fixed to a finger, in the model's order of links. Links that are
-    also fixed to the palm have no entry.
+    """Return the finger to which each link is fixed, in the model's order of links, so that whole fingers can
+    be composed. Links that are also fixed to the palm have no entry.
     """
     found = {}
     for gripper in model.grippers.values():
@@ -210,7 +210,7 @@ def finger_parts(model: RobotModel) -> dict[str, str]:
 
 
 def _join_pairs(pairs: dict[frozenset[str], str], finger: str, part: str, others: Iterable[str]) -> None:
-    """Change the unchecked pairs of a finger's link, now that the link also has a part's shapes."""
+    """Join the unchecked collision pairs of a finger's link and of the part that is composed with it."""
     for other in others:
         reasons = [pairs.get(frozenset((link, other))) for link in (finger, part)]
         normal = next((reason for reason in reasons if reason not in (None, "Never")), None)

@@ -94,7 +94,7 @@ class Gripper:
 
     @cached_property
     def _table(self) -> Array:
-        """Return the table `curve`, which maps a gripper's joint position to its width and grip center, as an
+        """Return a gripper's opening curve, which maps its joint position to its width and grip center, as an
         array (4, k) with one column per joint position.
 
         The rows are the joint position, the width [m], and y and z of the grip center in the tcp frame [m].
@@ -125,8 +125,8 @@ class Gripper:
         return SE3.from_xyz(0.0, *(float(np.interp(width, self._table[1], self._table[k])) for k in (2, 3)))
 
     def grip_center(self, width: float, opening: float) -> SE3:
-        """Return T_tcp_center, the pose of the grip center in the tcp frame, for grasping an object of
-        `width` [m]. `opening` [m] is the gap between the jaws during the approach.
+        """Return T_tcp_center, the pose of a gripper's grip center in its tcp frame, for an object of `width`
+        [m]. `opening` [m] is the gap between the jaws during the approach.
 
         A single moving jaw approaches with the object centered between the jaws.
         """
@@ -144,7 +144,7 @@ class Gripper:
 @dataclass(frozen=True)
 @checked()
 class SuctionCup:
-    """Suction cup of a gripper, on a link of the robot.
+    """Suction cup of a gripper, on a link of the robot model.
 
     The z axis of the cup's frame points out of the cup. Its origin is the center of the ring on which a held
     surface rests. The free lip reaches `stroke` beyond this ring and seals on any surface within its reach.
@@ -168,7 +168,8 @@ class SuctionCup:
         return SE3.from_xyz_rpy(self.xyz, self.rpy)
 
     def lip_reaches(self, shape: Shape, T_link_shape: SE3) -> bool:
-        """Return whether a collision shape of the cup's link includes the flexible lip of the cup.
+        """Return whether a collision shape of the link that carries a gripper's suction cup includes the
+        flexible lip of the cup.
 
         Descriptions of cups usually end at the free lip, in front of the ring. In physics, the ring replaces
         such a shape.
@@ -178,14 +179,15 @@ class SuctionCup:
 
     @property
     def area(self) -> float:
-        """Return the area [m^2] inside the ring of a suction cup."""
+        """Return the area [m^2] inside the ring of a gripper's suction cup."""
         return float(np.pi * self.radius**2)
 
 
 @dataclass(frozen=True, kw_only=True)
 @checked()
 class SuctionGripper(Gripper):
-    """Gripper that holds an object by the vacuum in its cups. Each cup has its own valve or ejector.
+    """Suction gripper of a robot, which holds an object by the vacuum in its cups. Each cup has its own valve
+    or ejector.
 
     Width 0 turns the vacuum on, and any larger width turns it off. The origin of the tcp frame is in the
     plane of the cups' rings. `max_force` is the mean holding force of a cup.
@@ -224,5 +226,5 @@ class SuctionGripper(Gripper):
         return replace(super().prefixed(prefix), cups=cups)
 
     def force(self, cup: SuctionCup) -> float:
-        """Return the largest force [N] with which the vacuum of a cup pulls: pressure times area."""
+        """Return the largest force [N] with which a suction gripper's cup pulls: pressure times area."""
         return 1000.0 * self.vacuum * cup.area

@@ -54,7 +54,7 @@ _NO_SUCTION = {f.name for f in fields(Gripper)} - {"arm_group", "group", "tcp_li
 
 @dataclass(frozen=True)
 class KnownRobot:
-    """A robot in armcell's library, with the source of its description.
+    """A robot that can be loaded by name from armcell's library, with the source of its description.
 
     Attributes:
         source: maker, model, and origin of the description with its license.
@@ -70,8 +70,8 @@ class KnownRobot:
 
     @property
     def hint(self) -> str:
-        """Return a hint on how to install the package that describes a robot.
-        It is empty if the package is present.
+        """Return a hint on how to install the package whose robot description cannot be loaded. It is empty
+        if the package is present.
         """
         if self.package is None:
             return ""
@@ -83,13 +83,13 @@ class KnownRobot:
 
 
 def robot_names() -> list[str]:
-    """Return the names of the robots in armcell's library."""
+    """Return the names of the robots that can be loaded from armcell's library."""
     return sorted(p.parent.name for p in LIBRARY.glob(f"*/{ROBOT_FILE}"))
 
 
 def installed_robots() -> list[str]:
-    """Return the names of the robots in armcell's library whose
-    descriptions are installed on this machine.
+    """Return the names of the robots in armcell's library that can be loaded on this machine, because their
+    descriptions are installed.
     """
     return [name for name in robot_names() if known_robot(name).package is None]
 
@@ -160,8 +160,8 @@ def _load_file(path: Path, allow_env: bool | None, xacro_args: XacroArgs) -> Rob
 
 
 def is_mjcf(path: Path) -> bool:
-    """Return whether a robot file is MJCF.
-    Such a file has the suffix .mjcf, or the suffix .xml and the root element <mujoco>.
+    """Return whether a robot file must be loaded as MJCF. Such a file has the suffix .mjcf, or the suffix
+    .xml and the root element <mujoco>.
     """
     if path.suffix.lower() != ".xml":
         return path.suffix.lower() == ".mjcf"
@@ -169,7 +169,7 @@ def is_mjcf(path: Path) -> bool:
 
 
 def load_mjcf_file(path: Path) -> RobotModel:
-    """Load a robot model from an MJCF file. Collision checks between adjacent links are disabled.
+    """Load a robot from an MJCF file, and disable collision checks between adjacent links.
 
     Adjacent links share a joint. See also `load_mjcf`.
     """
@@ -255,8 +255,8 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
 
 
 def _with_visuals_as_collisions(model: RobotModel, names: list[str], file: Path) -> RobotModel:
-    """Return the robot with the visual shapes of some links also as their collision shapes. Some descriptions
-    draw a link, but give it no collision shape.
+    """Return a loaded robot with the visual shapes of some links also as their collision shapes. Some
+    descriptions draw a link, but give it no collision shape.
     """
     where = {"file": file, "element": "visual_as_collision"}
     links = dict(model.links)
@@ -284,8 +284,8 @@ def _shape(visual: Visual) -> Shape:
 
 
 def _with_frames(model: RobotModel, frames: Any, file: Path) -> RobotModel:
-    """Return the robot with additional frames from robot.yaml,
-    given as `{name: {parent_link: LINK, pose: POSE}}`.
+    """Return a loaded robot with the additional frames in its robot.yaml, given as `{name: {parent_link:
+    LINK, pose: POSE}}`.
     """
     if not isinstance(frames, dict):
         raise InputError("is not a mapping", file=file, element="frames")
@@ -314,8 +314,8 @@ def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
 
 
 def rerooted(model: RobotModel, link: str) -> RobotModel:
-    """Return the robot with a given link as its root.
-    All links above it are removed, such as the link "world" of a URDF.
+    """Return a loaded robot with a given link as its root. All links above it are removed, such as the link
+    "world" of a URDF.
     """
     keep = set(model.subtree(link))
     return replace(
@@ -336,7 +336,8 @@ def with_adjacent_disabled(model: RobotModel) -> RobotModel:
 
 
 def xacro_texts(value: Any, file: Path) -> dict[str, str]:
-    """Convert xacro arguments from YAML values to text. Booleans become `true` and `false`.
+    """Convert the xacro arguments of a robot to be loaded from YAML values to text. Booleans become `true`
+    and `false`.
 
     Raises:
         InputError: `value` is not a mapping of names to numbers, texts or booleans.
@@ -387,7 +388,7 @@ def _part_robot(robot: str, folder: Path, file: Path, allow_env: bool | None) ->
 
 
 def _curve(rows: Any, where: dict[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Read the opening curve of a gripper from robot.yaml: rows of joint position, width, y and z. The curve
+    """Load the opening curve of a gripper from robot.yaml: rows of joint position, width, y and z. The curve
     must be monotonic from closed to open.
     """
     try:
@@ -443,7 +444,7 @@ def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:
 
 
 def _cups(rows: Any, where: dict[str, Any]) -> tuple[SuctionCup, ...]:
-    """Read the cups of a suction gripper from its entry in robot.yaml."""
+    """Load the cups of a suction gripper from its entry in robot.yaml."""
     if not isinstance(rows, tuple) or not all(isinstance(row, dict) for row in rows):
         raise InputError("cups must be a list of mappings", **where)
     known = {f.name for f in fields(SuctionCup)}

@@ -190,7 +190,8 @@ def _disabled(model: RobotModel, root: etree._Element, path: Path) -> dict[froze
 
 
 def with_composite_groups(model: RobotModel, groups: Any, states: Any, file: Path) -> RobotModel:
-    """Return the robot with the composite planning groups and the named states that robot.yaml defines.
+    """Return the robot with the composite planning groups and named states that robot.yaml defines, in
+    addition to those of the SRDF.
 
     If all members of a composite group have a named state of the same name, the composite group gets that
     state, too.

@@ -13,7 +13,9 @@ LONGEST_TRAVEL = 100.0  # [m] longer travels of a linear axis are in millimeters
 
 
 def limit_faults(joint: str, type: str, lower: float, upper: float) -> Iterator[str]:
-    """Yield what is suspicious about the limits of a revolute or prismatic joint [rad or m]."""
+    """Yield signs of wrong units, such as degrees, in the limits of a revolute or prismatic joint [rad or
+    m].
+    """
     most = max(abs(lower), abs(upper))
     if type == "revolute" and DEGREES[0] <= most <= DEGREES[1]:
         yield f"the limits of joint {joint!r}, {lower:g} to {upper:g} rad, look like degrees: use radians"
@@ -24,7 +26,9 @@ def limit_faults(joint: str, type: str, lower: float, upper: float) -> Iterator[
 
 
 def origin_faults(owner: str, xyz: Sequence[float], rpy: Sequence[float]) -> Iterator[str]:
-    """Yield what is suspicious about a position [m] and a rotation [rad] in a description."""
+    """Yield signs of wrong units, such as millimeters, in a position [m] and a rotation [rad] of a
+    description.
+    """
     if np.linalg.norm(xyz) > LARGEST_LINK:
         at = " ".join(f"{v:g}" for v in xyz)
         yield f"the origin of {owner}, {at} m, looks like millimeters: use meters"

@@ -170,9 +170,7 @@ def merged_urdf(
 
 
 def with_frames_text(text: str, model: RobotModel) -> str:
-    """Return the URDF text with all frames that robot setup has added.
-    Each frame is a link with a fixed joint.
-    """
+    """Write URDF text with all frames that robot setup has added. Each frame is a link with a fixed joint."""
     missing = [j for j in model.frames.values() if f'<link name="{j.child}"' not in text]
     if not missing:
         return text
@@ -189,7 +187,7 @@ def with_frames_text(text: str, model: RobotModel) -> str:
 
 
 def xml_text(root: etree._Element) -> str:
-    """Return a merged URDF as indented text with one element per line."""
+    """Return the text that is written for a URDF: indented, with one element per line."""
     etree.indent(root, "  ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + etree.tostring(root, encoding="unicode") + "\n"
 
@@ -214,8 +212,8 @@ def _names(root: etree._Element) -> set[str]:
 
 
 def _prefix(root: etree._Element, prefix: str) -> None:
-    """Prepare a URDF for merging: put a prefix before every name,
-    and remove elements for simulators and drivers.
+    """Prepare a URDF to be written as part of a merged one: put a prefix before every name, and remove
+    elements for simulators and drivers.
 
     The removed elements are `gazebo`, `transmission` and `ros2_control`.
     """
@@ -232,7 +230,8 @@ def _prefix(root: etree._Element, prefix: str) -> None:
 
 
 def find_meshes(root: etree._Element, folder: Path) -> None:
-    """Prepare a URDF for merging: make mesh paths absolute if they are relative to the folder of the URDF.
+    """Prepare a URDF to be written as part of a merged one: make mesh paths absolute if they are relative to
+    the folder of the URDF.
 
     A merged URDF is stored in another folder, where relative paths would not work. `package://` URIs of
     installed packages stay unchanged.

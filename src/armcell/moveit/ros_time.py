@@ -10,7 +10,8 @@ SECOND = 1_000_000_000  # [ns]
 
 @functools.total_ordering
 class _Stamp:
-    """Base class of rospy's Time and Duration, which store whole seconds and nanoseconds from 0 to 999999999.
+    """Base class of ROS times and durations (rospy's Time and Duration), which store whole seconds and
+    nanoseconds from 0 to 999999999.
 
     genpy's names `secs` and `nsecs` work as well.
     """
@@ -130,7 +131,7 @@ class Time(_Stamp):
 
     @staticmethod
     def now() -> Time:
-        """Return the current time of the cell's clock, like rospy.Time.now."""
+        """Return the current ROS time from the cell's clock, like rospy.Time.now."""
         from armcell.moveit.session import current_session
 
         return Time.from_sec(current_session().bus.clock.now())

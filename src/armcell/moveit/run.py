@@ -43,8 +43,8 @@ SHIMS = {
 
 
 class _MessageModule(types.ModuleType):
-    """Shim module that is installed as `<package>.msg` or `<package>.srv` of a ROS message package. It
-    creates each message class on first access.
+    """Module that a running ROS script imports as `<package>.msg` or `<package>.srv` of a ROS message
+    package. It creates each message class on first access.
     """
 
     def __init__(self, name: str, classes: MessageClasses, package: str, kinds: list[str]):
@@ -83,8 +83,8 @@ class _MessageModule(types.ModuleType):
 
 
 def _service_class(classes: MessageClasses, name: str) -> type | None:
-    """Return a service class for an installed shim module. It contains the request class and the response
-    class of the service.
+    """Return the class of a ROS service for a module that a running script imports. It contains the request
+    class and the response class of the service.
 
     Returns:
         The class, or None if the name is not a service.
@@ -102,8 +102,8 @@ def _service_class(classes: MessageClasses, name: str) -> type | None:
 
 
 def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
-    """Create the shim modules to install for all ROS message packages, with their `.msg` and `.srv`
-    submodules.
+    """Create the modules of all ROS message packages that a script can import when it is run, with their
+    `.msg` and `.srv` submodules.
     """
     schema = classes.schema
     parts = {f"{s}{end}" for s in schema.services for end in ("Request", "Response")}
@@ -124,8 +124,8 @@ def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
 
 @contextmanager
 def shims_installed(classes: MessageClasses) -> Iterator[list[str]]:
-    """Install the ROS shims (rospy, moveit_commander, tf, ...) in
-    `sys.modules` for the duration of a `with` block.
+    """Install the ROS shims (rospy, moveit_commander, tf, ...) in `sys.modules` during a `with` block that
+    runs a script.
 
     The previous modules are restored after the block.
 

@@ -51,8 +51,8 @@ DOWN = "quaternion_from_euler(math.pi, 0, yaw) points it down"
 
 
 def missing_import(name: str, schema: Schema) -> str:
-    """Return the import statement that a script copied from a tutorial needs for a name.
-    The text is empty for an unknown name.
+    """Return a hint for a script copied from a tutorial: the import statement that it needs for a name. The
+    text is empty for an unknown name.
     """
     if keyword.iskeyword(name) or hasattr(builtins, name):
         return ""

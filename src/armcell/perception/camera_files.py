@@ -29,13 +29,15 @@ _SPLAT = 400  # [px] longer side of an image rendered from a point cloud
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """A calibrated camera: its name and its intrinsics with distortion."""
+    """Content of a camera calibration file: the camera's name, and its intrinsics with distortion."""
 
     name: str
     pinhole: Pinhole
 
     def rectified(self) -> Pinhole:
-        """Return the intrinsics of a calibrated camera without distortion. They apply to rectified images."""
+        """Return the intrinsics from a camera calibration file without the distortion. They apply to
+        rectified images.
+        """
         p = self.pinhole
         return Pinhole(p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 
@@ -258,8 +260,8 @@ def _opened(path: str | Path):
 
 
 def cloud_image(points: F64, T_world_camera: SE3, name: str = "cloud") -> CameraImage:
-    """Render the points (n, 3) [m, world frame] of a cloud file as the depth image of a camera that sees all
-    of them.
+    """Convert the points (n, 3) [m, world frame] from a cloud file to a camera image with depth, as if it
+    were loaded from camera files. The camera sees all points.
 
     Raises:
         InputError: no points are in front of the camera.

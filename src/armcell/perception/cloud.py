@@ -38,7 +38,9 @@ def check_image_age(image: CameraImage, max_age: float, now: float | None) -> Ou
 
 
 def check_image(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if a camera image is too old or has no depth. Otherwise return None."""
+    """Return an error outcome if a camera image is too old, or gives no point cloud because it has no depth.
+    Otherwise return None.
+    """
     old = check_image_age(image, max_age, now)
     if old is not None:
         return old
@@ -93,8 +95,8 @@ def organized_cloud(depth: ArrayLike, pinhole: Pinhole) -> F64:
 
 
 def clusters(points: F64, wanted: NDArray[np.bool_], gap: float, smallest: int) -> list[NDArray[np.int64]]:
-    """Segment an organized point cloud into clusters. Return the pixel indices (n,) of each cluster, largest
-    first.
+    """Group the neighboring points of an organized point cloud into clusters. Return the pixel indices (n,)
+    of each cluster, largest first.
 
     Args:
         points: (h, w, 3) [m].
@@ -159,11 +161,14 @@ class SupportPlane:
         float_array(self.normal, (3,), "a plane's normal")
 
     def heights(self, points: F64) -> F64:
-        """Return the heights (...) [m] of points (..., 3) above the support plane; negative below it."""
+        """Return the heights (...) [m] of points (..., 3) above the support plane of a point cloud; negative
+        below it.
+        """
         return float_array(points, (-1, 3), "points", finite=False) @ self.normal - self.offset
 
     def frame(self, point: F64) -> SE3:
-        """Return a frame on the detected support plane whose origin is the projection of a given point.
+        """Return a frame on the support plane of a point cloud, whose origin is the projection of a given
+        point.
 
         The z axis is the plane's normal. The shortest rotation from the world frame determines x and y.
         """

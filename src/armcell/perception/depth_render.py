@@ -24,7 +24,8 @@ _NEAREST = 0.02  # [m] triangles that are nearer to the camera are not drawn
 
 
 class DepthEvidence(NamedTuple):
-    """Depth images around a cluster, cut out and laid end to end. Kernels take it as one argument.
+    """Depth images around a point cluster, to compare with the rendered depth of a mesh. The images are
+    cropped and concatenated. Kernels take them as one argument.
 
     The pixels (n,) of all images have a depth [m] (0 where the camera measured none), the depth of the
     support plane [m] (inf beside it), and a kind. `sizes` (v, 3) are each image's first pixel, height and
@@ -43,7 +44,8 @@ def cut_out(
     depth: NDArray[np.floating], kinds: NDArray[np.uint8], pinhole: Pinhole, T_camera_support: SE3,
     scale: float, margin: int, most: int,
 ) -> DepthEvidence:  # fmt: skip
-    """Cut the surroundings of the cluster's pixels out of a depth image (h, w) [m].
+    """Crop a depth image (h, w) [m] to the surroundings of a point cluster, for the comparison with rendered
+    depth.
 
     Args:
         kinds: (h, w) kind of each pixel.
@@ -72,7 +74,7 @@ def cut_out(
 
 
 def joined(views: list[DepthEvidence]) -> DepthEvidence:
-    """Return the evidence of several cameras as one."""
+    """Combine the depth evidence of several cameras, for the comparison with the rendered depth of a mesh."""
     sizes = np.concatenate([e.sizes for e in views])
     counts = sizes[:, 1] * sizes[:, 2]
     sizes[:, 0] = np.cumsum(counts) - counts
@@ -85,7 +87,8 @@ def joined(views: list[DepthEvidence]) -> DepthEvidence:
 
 @njit(cache=True)
 def draw(vertices, faces, R, t, e, out):
-    """Draw the depth (n,) [m] of a mesh at the pose (R, t) into the images; inf where the mesh is not seen.
+    """Render the depth (n,) [m] of a mesh at the pose (R, t) for each pixel of the images; inf where the mesh
+    is not seen.
 
     A pixel shows the surface at its center. 1 / z is linear in the image, also within a triangle.
     """
@@ -144,7 +147,8 @@ def draw(vertices, faces, R, t, e, out):
 
 @njit(cache=True)
 def compare(drawn, e, out):
-    """Write the signed error (n,) of each pixel, from -1 to 1; its square is the pixel's loss.
+    """Compare the rendered depth with the measured depth: write the signed error (n,) of each pixel, from -1
+    to 1. Its square is the pixel's loss.
 
     The loss of a difference r [scales] is that of Geman and McClure, r^2 / (1 + r^2).
     """
@@ -167,8 +171,8 @@ def compare(drawn, e, out):
 
 @njit(cache=True)
 def loss(vertices, faces, R, t, e, drawn, errors):
-    """Return the total loss of a mesh at the pose (R, t), and write the drawn depth (n,) [m] and the signed
-    error (n,) of each pixel.
+    """Render the depth of a mesh at the pose (R, t) and return its total loss. Also write the rendered depth
+    (n,) [m] and the signed error (n,) of each pixel.
     """
     draw(vertices, faces, R, t, e, drawn)
     compare(drawn, e, errors)
@@ -180,7 +184,7 @@ def loss(vertices, faces, R, t, e, drawn, errors):
 
 @njit(cache=True)
 def losses(vertices, faces, Rs, ts, e):
-    """Return the total losses (k,) of a mesh at poses Rs (k, 3, 3), ts (k, 3)."""
+    """Render the depth of a mesh at poses Rs (k, 3, 3), ts (k, 3), and return the total losses (k,)."""
     drawn, errors = np.empty(len(e.depth)), np.empty(len(e.depth))
     out = np.empty(len(Rs))
     for k in range(len(Rs)):
@@ -190,7 +194,9 @@ def losses(vertices, faces, Rs, ts, e):
 
 @njit(cache=True)
 def _moved(R, t, center, step, out_R, out_t):
-    """Write the pose turned by step[:3] about the mesh's center and shifted by step[3:]."""
+    """Write the pose (R, t) of a rendered mesh after a step: rotated by step[:3] about the mesh's center and
+    shifted by step[3:].
+    """
     x, y, z = step[0], step[1], step[2]
     angle = np.sqrt(x * x + y * y + z * z)
     a = np.sin(angle) / angle if angle > 1e-9 else 1.0
@@ -204,7 +210,8 @@ def _moved(R, t, center, step, out_R, out_t):
 
 @njit(cache=True)
 def refine(vertices, faces, center, radius, R, t, e, pixel, iterations):
-    """Minimize the loss of a mesh from the pose (R, t) with the Levenberg-Marquardt method.
+    """Refine the pose (R, t) of a mesh with the Levenberg-Marquardt method, such that its rendered depth has
+    the minimum loss.
 
     The derivatives are differences over about one pixel, so that the silhouette counts, too.
 

@@ -139,14 +139,17 @@ def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
 
 # --- meshes ---
 def is_primitive(shapes: tuple[tuple[Shape, SE3], ...]) -> bool:
-    """Return whether an object is one box, cylinder or sphere, whose symmetry is known."""
+    """Return whether a known object is one box, cylinder or sphere. The symmetries of these shapes are
+    known.
+    """
     return len(shapes) == 1 and isinstance(shapes[0][0], Box | Cylinder | Sphere)
 
 
 def rough_mesh_match(
     e: DepthEvidence, points: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], span: float
 ) -> Match | None:
-    """Search poses of a known mesh on coarse evidence. The result is None if its size does not match.
+    """Estimate a rough pose of a known object that is a mesh, from coarse evidence. The result is None if the
+    object's size does not match.
 
     Args:
         span: [m] largest extent of the cluster.
@@ -160,7 +163,8 @@ def rough_mesh_match(
 
 
 def match_mesh(e: DepthEvidence, shapes: tuple[tuple[Shape, SE3], ...], start: Match, prior: SE3) -> Match:
-    """Refine the pose of a known mesh, and find the other poses that explain the images about as well.
+    """Refine the pose of a known object that is a mesh, and find the other poses that explain the images
+    about as well.
 
     Args:
         prior: pose in the frame of the support; of equal poses of a symmetric mesh, the nearest one is
@@ -187,7 +191,8 @@ def match_mesh(e: DepthEvidence, shapes: tuple[tuple[Shape, SE3], ...], start: M
 
 
 def _surely_worse(errors: F64, than: F64) -> bool:
-    """Return whether a pose with the given errors of pixels explains the images significantly worse.
+    """Return whether one pose of a known object explains the images significantly worse than another, given
+    the errors of all pixels for both poses.
 
     Each pixel is one observation of the difference of both losses.
     """

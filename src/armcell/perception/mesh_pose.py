@@ -50,7 +50,9 @@ _DIFFERENT = 0.015  # fraction of the surface that may be farther apart in equal
 
 @dataclass(frozen=True, eq=False)
 class KnownMesh:
-    """Surface of a known object, prepared for matching: triangles, resting sides, and samples."""
+    """Mesh that is prepared for the estimation of its pose: triangles, resting sides, and samples of the
+    surface.
+    """
 
     solid: Solid
     coarse: tuple[F64, Faces]
@@ -67,7 +69,7 @@ class KnownMesh:
 
     @cached_property
     def symmetries(self) -> tuple[SE3, ...]:
-        """Return the rotations of the object after which it looks the same, the identity first.
+        """Return the rotations after which the mesh looks the same, the identity first.
 
         They are products of rotations by multiples of 15 deg about the axes of the frame and of inertia.
         """
@@ -93,7 +95,7 @@ class KnownMesh:
         return tuple(about(turn) for turn in group)
 
     def same(self, a: SE3, b: SE3) -> bool:
-        """Return whether the object looks the same in two poses: hardly any of the surface is far apart."""
+        """Return whether the mesh looks the same in two poses: hardly any of its surface is far apart."""
         limit = min(_SAME * self.diameter, _MOST_SAME)
         there = (a.inverse() @ b).apply(self.samples)
         return all(  # most pairs of poses already differ at the first few samples
@@ -104,7 +106,7 @@ class KnownMesh:
 
 @lru_cache(maxsize=64)
 def known_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> KnownMesh:
-    """Prepare an object's surface for matching."""
+    """Prepare the surface mesh of an object for the estimation of the mesh's pose."""
     import trimesh
     from scipy.spatial import ConvexHull, KDTree
 
@@ -176,7 +178,7 @@ def search(e: DepthEvidence, points: CameraEvidence, mesh: KnownMesh) -> list[Ca
 
 
 def _leading(found: F64, Rs: F64) -> list[int]:
-    """Return the numbers of the lowest values whose rotations differ."""
+    """Return the indices of the mesh poses with the lowest values, of which no two have similar rotations."""
     kept: list[int] = []
     for i in np.argsort(found, kind="stable"):
         turns = np.einsum("kij,ij->k", Rs[kept], Rs[i])
@@ -188,7 +190,7 @@ def _leading(found: F64, Rs: F64) -> list[int]:
 
 
 def settle(e: DepthEvidence, mesh: KnownMesh, found: list[Candidate]) -> list[Candidate]:
-    """Refine candidates on fine evidence and return the distinct ones, best first.
+    """Refine candidate poses of a mesh on fine evidence and return the distinct ones, best first.
 
     Poses beside the best one are tried, too: if no camera sees the handle of a mug, the mug can be turned; if
     the blade of a knife hardly stands out from the table, the knife may lie farther along its length.
@@ -213,12 +215,14 @@ def _settled(e: DepthEvidence, mesh: KnownMesh, found: list[Candidate]) -> list[
 
 
 def refit(e: DepthEvidence, mesh: KnownMesh, T: SE3) -> SE3:
-    """Refine one pose on fine evidence."""
+    """Refine one pose of a mesh on fine evidence."""
     return _refined(e, mesh, mesh.fine, T, _pixel(e), 6).T
 
 
 def pixel_errors(e: DepthEvidence, mesh: KnownMesh, T: SE3) -> tuple[F64, NDArray[np.bool_]]:
-    """Return the signed error (n,) of each pixel and the pixels (n,) that show the cluster or the mesh."""
+    """Return the signed error (n,) of each pixel for a pose of a mesh, and a mask (n,) of the pixels that
+    show the cluster or the mesh.
+    """
     drawn, errors = np.empty(len(e.depth)), np.empty(len(e.depth))
     D.loss(*mesh.fine, T.rotation.matrix, T.translation, e, drawn, errors)
     return errors, ((drawn < e.floor) | (e.kinds == D.OWN)) & (e.depth > 0)
@@ -243,14 +247,16 @@ def _distinct(found: list[Candidate], mesh: KnownMesh) -> list[Candidate]:
 
 
 def _pixel(e: DepthEvidence) -> float:
-    """Return the size [m] of a pixel at the object, the smallest one of all cameras."""
+    """Return the size [m] of a camera pixel at the object whose mesh pose is estimated. With several cameras,
+    return the smallest size.
+    """
     own = e.depth[(e.kinds == D.OWN) & (e.depth > 0)]
     return float(np.median(own)) / float(e.cameras[:, 0].max())
 
 
 def _starts(e: DepthEvidence, mesh: KnownMesh) -> tuple[F64, F64]:
-    """Return start poses Rs (k, 3, 3), ts (k, 3): each resting side at each yaw, with the middle of the
-    object's outline in the first image at the middle of the cluster.
+    """Return start poses Rs (k, 3, 3), ts (k, 3) of a mesh: each resting side at each yaw, with the middle of
+    the object's outline in the first image at the middle of the cluster.
     """
     Rs = []
     for up in mesh.ups:

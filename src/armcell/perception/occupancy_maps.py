@@ -188,7 +188,7 @@ class Sensors3d:
 
 
 def load_sensors_3d(file: str | Path) -> Sensors3d:
-    """Read MoveIt's sensors_3d.yaml in ROS 1 or ROS 2 format.
+    """Read the octomap updaters from MoveIt's sensors_3d.yaml in ROS 1 or ROS 2 format.
 
     Raises:
         InputError: unknown plugin or key, or a value of the wrong type; the error names file and entry.

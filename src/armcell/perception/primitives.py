@@ -23,7 +23,9 @@ GOOD = 0.05  # kinds with at most this cost are always refined
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """Smallest rectangle that contains a point cluster seen from above, with the cluster's height."""
+    """Footprint of a point cluster, to which primitives are fitted: the smallest rectangle that contains the
+    cluster seen from above, and the cluster's height.
+    """
 
     x: float
     y: float
@@ -34,8 +36,8 @@ class Footprint:
 
 
 def footprint(points: F64) -> Footprint:
-    """Return the footprint of a point cluster: the smallest rectangle that contains its points (n, 3) seen
-    from above.
+    """Return the footprint of a point cluster, to which primitives are fitted: the smallest rectangle that
+    contains the points (n, 3) seen from above.
 
     The rectangle has an edge of the convex hull (Freeman and Shapira, Communications of the ACM 18(7), 1975).
     """

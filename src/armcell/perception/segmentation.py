@@ -25,7 +25,9 @@ F64 = NDArray[np.float64]
 @dataclass(frozen=True)
 @checked()
 class LookSettings:
-    """Settings of object detection by `look`; lengths in meters."""
+    """Settings for the segmentation of camera images and the detection of objects by `look`; lengths in
+    meters.
+    """
 
     surface: str | None = None  # fixed support object; None: the largest level plane
     max_tilt_deg: float = 15.0  # of the plane
@@ -55,7 +57,9 @@ Pixels = tuple[NDArray[np.int64], ...]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Image of one camera as points in the world, with masks of the points that `look` uses."""
+    """Image of one camera for the segmentation: its points in the world, with masks of the points that `look`
+    uses.
+    """
 
     image: CameraImage
     flat: F64  # (h * w, 3) [m, world]; NaN without depth
@@ -77,20 +81,22 @@ class View:
         return self.image.pinhole.height, self.image.pinhole.width
 
     def things(self, plane: SupportPlane, settings: LookSettings) -> NDArray[np.bool_]:
-        """Return the mask (h * w,) of the points above the support plane."""
+        """Return the segmentation mask (h * w,) of the points above the support plane."""
         height = np.where(self.valid, plane.heights(np.where(self.valid[:, None], self.flat, 0.0)), 0.0)
         least = max(settings.least_height, 3 * plane.rms)
         return self.others & self.region & (height > least) & (height < settings.most_height)
 
     def kinds(self, plane: SupportPlane, settings: LookSettings) -> NDArray[np.uint8]:
-        """Return the kind (h * w,) of each pixel for a cluster that has no pixel of its own."""
+        """Classify each pixel (h * w,) after the segmentation: background, or a body that may hide an object.
+        The pixels of the object's own cluster are not marked yet.
+        """
         hides = self.valid & (~self.others | self.things(plane, settings))
         return np.where(hides, OTHER, FREE).astype(np.uint8)
 
 
 def view_clusters(views: list[View], plane: SupportPlane, settings: LookSettings) -> list[Pixels]:
-    """Segment the points above the support plane. Clusters of different cameras whose points are close to
-    each other are one.
+    """Segment the camera points above the support plane into clusters. Clusters of different cameras are
+    merged if their points are close to each other.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -122,8 +128,8 @@ def view_clusters(views: list[View], plane: SupportPlane, settings: LookSettings
 def _without(
     flat: F64, valid: NDArray[np.bool_], scene: PlanningScene | None, settings: LookSettings
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return two masks of the points that `look` uses: points that are not on the robot or a fixed object,
-    and points that are above the support surface.
+    """Return two masks for the segmentation of camera points: points that are not on the robot or a fixed
+    object, and points that are above the support surface.
     """
     others, region = valid.copy(), np.ones(len(flat), bool)
     if scene is None:
@@ -146,8 +152,8 @@ def _without(
 
 
 def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask of the camera points at or above the top of a support,
-    where `look` searches for objects.
+    """Return the segmentation mask of the camera points at or above the top of a support, where `look`
+    searches for objects.
     """
     low, high = item.bounds()
     corners = np.array(
@@ -164,7 +170,9 @@ def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArra
 
 
 def _is_level(item: CollisionObject) -> bool:
-    """Return whether an object is so flat and wide that `look` detects other objects on top of it."""
+    """Return whether a fixed object is so flat and wide that the segmentation keeps its points, because other
+    objects may rest on it.
+    """
     if any(isinstance(shape, Plane) for shape, _ in item.shapes):
         return True
     sizes = [2 * local_bounds(shape)[1] for shape, _ in item.shapes]
@@ -172,7 +180,9 @@ def _is_level(item: CollisionObject) -> bool:
 
 
 def support_plane(points: F64, settings: LookSettings) -> SupportPlane | None:
-    """Return the support plane of points (n, 3) [m, world], or None if fewer than 100 points are on it."""
+    """Return the support plane above which the segmentation searches for objects, fitted to points (n, 3) [m,
+    world], or None if fewer than 100 points are on it.
+    """
     plane = find_plane(
         points,
         np.array([0.0, 0.0, 1.0]),

@@ -120,8 +120,8 @@ def _part(shape: Shape) -> tuple[int, tuple[float, float, float]] | None:
 
 
 def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
-    """Return one triangle mesh with the surfaces of all shapes of an object, for fitting the object to camera
-    points.
+    """Return one triangle mesh with the surfaces of all shapes of an object, from which the signed distances
+    of a solid are computed.
 
     The mesh is in the object's frame. Perception uses it to fit the object to camera data and to draw it.
     """
@@ -163,8 +163,8 @@ def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
 
 
 def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
-    """Compute a `Solid` for fitting an object to points: a grid of signed distances [m] from the surface of
-    the object's shapes.
+    """Create a `Solid` from the shapes of an object: a grid of signed distances [m] from the surface of the
+    shapes.
 
     A node's distance is that to the plane of the nearest of many samples on the surface. Near the surface, a
     node is inside if it is behind the sample's triangle; elsewhere, if it is not connected to the outside.

@@ -144,8 +144,8 @@ def certify_and_time(
 
 
 def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseDynamics:
-    """Build the inverse dynamics model for timing a plan within torque limits. The model includes the links
-    of the group and attached objects.
+    """Build the inverse dynamics model with which certified paths are timed within torque limits. The model
+    includes the links of the group and attached objects.
     """
     payloads = []
     for body in scene.attached.values():
@@ -236,7 +236,8 @@ def complete_motion(
 
 
 def contact_note(validated: ValidatedRequest) -> str:
-    """Return a note for motions that start in contact: it names the contacts that end when the motion begins.
+    """Return a note on a certified motion that starts in contact: the note names the contacts that end when
+    the motion begins.
 
     The note is part of the plan's message. It is empty if the start was not in contact.
     """
@@ -245,8 +246,8 @@ def contact_note(validated: ValidatedRequest) -> str:
 
 
 def time_lead_in(validated: ValidatedRequest, checker: KernelChecker) -> JointTrajectory | None:
-    """Compute the timing of the lead-in, the motion from the robot's actual state to the start of the
-    certified path.
+    """Certify and time the lead-in, the motion from the robot's actual state to the start of the certified
+    path.
 
     Return None if the motion is not proven collision-free.
     """

@@ -34,8 +34,8 @@ BOUNDS = np.array([0.0]), np.array([0.05])  # joint limits of the gripper in the
 
 @contextmanager
 def in_another_process(*statements: str) -> Iterator[None]:
-    """Run Python statements in a second process during a `with` block, so that kernels are compiled in
-    parallel.
+    """Run Python statements in a second process during a `with` block, so that the first compilation of
+    kernels runs in parallel.
 
     Machines with one core start no second process. The statements must be optional work: an error in the
     second process has no effect.
@@ -83,7 +83,8 @@ def progress_line(text: str) -> Iterator[None]:
 
 
 def prepare_group(scene: PlanningScene, group: str) -> None:
-    """Prepare a planning group before its first plan (warm-up): compute the data that all its plans share.
+    """Warm up the planning of a group before its first plan: load or compile the kernels, and compute the
+    data that all plans of the group share.
 
     The data are collision covers, pairs of links that can collide, and the inverse kinematics.
     """
@@ -95,8 +96,8 @@ def prepare_group(scene: PlanningScene, group: str) -> None:
 
 @lru_cache(maxsize=64)
 def warm_up_ik(model: RobotModel, group: str, link: str | None = None) -> None:
-    """Warm up the inverse kinematics of a kinematic chain: compile its kernels, so that the first query is
-    fast.
+    """Compile the inverse kinematics of a kinematic chain before its first use (warm-up), so that the first
+    query is fast.
 
     Arms with a closed-form solution use other kernels.
     """
@@ -135,7 +136,8 @@ def warm_up() -> float:
 
 
 def compile_planner_kernels() -> None:
-    """Compile all planner kernels except collision checking, in a separate process during the warm-up.
+    """Compile all planner kernels except collision checking before their first use, in a separate process
+    during the warm-up.
 
     Planners call the collision check by its address, so a check that reports every configuration as free
     replaces it here.

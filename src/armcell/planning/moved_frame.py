@@ -47,17 +47,21 @@ class MovedFrame:
             self.T_link_point = scene.frame_pose(self.link).inverse() @ scene.frame_pose(name)
 
     def full(self, q: ArrayLike) -> Array:
-        """Return the robot's joint positions (dof,) in the scene, with the planning group at q (n,)."""
+        """Return the joint positions (dof,) from which a moved frame's pose is computed: those of the robot
+        in the scene, with the planning group at q (n,).
+        """
         positions = self.scene.positions.copy()
         positions[self.scene.model.columns(self.joint_names)] = q
         return positions
 
     def pose(self, q: ArrayLike) -> SE3:
-        """Compute the pose of this frame in the world for joint positions q (n,) of its group."""
+        """Compute the pose of the moved frame in the world for joint positions q (n,) of its planning
+        group.
+        """
         return self.tree.link_pose(self.full(q), self.link) @ self.T_link_point
 
     def link_target(self, T_world_name: SE3) -> SE3:
-        """Convert a target pose of this frame to the target pose of the robot link to which the frame is
+        """Convert a target pose of the moved frame to the target pose of the robot link to which the frame is
         attached.
         """
         return T_world_name @ self.T_link_point.inverse()
@@ -73,8 +77,8 @@ class MovedFrame:
 
 
 def with_joint_positions(scene: PlanningScene, joint_names: tuple[str, ...], q: ArrayLike) -> PlanningScene:
-    """Return a copy of the scene with the named joints at positions q (n,), to compute frame poses. Joint
-    limits are not checked.
+    """Return a copy of the scene with the named joints at positions q (n,), to compute the pose of a moved
+    frame. Joint limits are not checked.
     """
     positions = scene.positions.copy()
     positions[scene.model.columns(joint_names)] = q
@@ -85,8 +89,8 @@ BETWEEN = 4  # speed samples between two points of a trajectory
 
 
 def check_cartesian_speed(speed: float | None) -> None:
-    """Check the Cartesian speed limit [m/s] of a frame that a planning group moves. Raise an InputError
-    unless the limit is a positive number or None.
+    """Check the Cartesian speed limit [m/s] of a moved frame. Raise an InputError unless the limit is a
+    positive number or None.
     """
     if speed is not None and not (np.isfinite(speed) and speed > 0):
         raise InputError(f"max_cartesian_speed is {speed:g} m/s, it must be positive")
@@ -95,15 +99,15 @@ def check_cartesian_speed(speed: float | None) -> None:
 def limit_cartesian_speed(
     trajectory: JointTrajectory, moved_frame: MovedFrame, speed: float
 ) -> JointTrajectory:
-    """Slow down a trajectory so that the Cartesian speed of a frame's origin never exceeds `speed` [m/s]. The
-    planning group's joints move this frame.
+    """Slow down a trajectory so that the Cartesian speed of a moved frame's origin never exceeds `speed`
+    [m/s]. The planning group's joints move this frame.
     """
     return slow_down(trajectory, max(1.0, peak_cartesian_speed(trajectory, moved_frame) / speed))
 
 
 def peak_cartesian_speed(trajectory: JointTrajectory, moved_frame: MovedFrame) -> float:
-    """Compute the highest Cartesian speed [m/s] of a frame's origin along a trajectory. The frame is a robot
-    link or attached to one.
+    """Compute the highest Cartesian speed [m/s] of a moved frame's origin along a trajectory. The frame is a
+    robot link or attached to one.
     """
     times = trajectory.times
     fractions = np.arange(BETWEEN) / BETWEEN

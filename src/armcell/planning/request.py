@@ -107,8 +107,8 @@ class ValidatedRequest:
         return self.began + self.request.planning_time
 
     def forbids(self, q: Array) -> str:
-        """Return the reason why a request forbids joint positions q (n,) although they are collision-free, or
-        "" if it allows them.
+        """Return the reason why a validated request forbids joint positions q (n,) although they are
+        collision-free, or "" if it allows them.
         """
         if self.workspace is not None and self.workspace.excess(q) > 0.0:
             return self.workspace.describe(q)

@@ -118,7 +118,9 @@ def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> 
 
 
 def reject_deep_contacts(contacts: list[Contact]) -> Outcome | None:
-    """Return the error START_STATE_IN_COLLISION if a contact is deeper than `RESTING`, else None."""
+    """Reject a start in deep contact: return the error START_STATE_IN_COLLISION if a contact is deeper than
+    `RESTING`, else None.
+    """
     if all(c.distance >= -RESTING for c in contacts):
         return None
     what = "; ".join(c.describe() for c in contacts[:3])
@@ -254,8 +256,8 @@ def _push(
 
 
 def _rates(exact: ExactChecker, q: Array, bodies: Sequence[Pair]) -> Array:
-    """Compute the derivative of the distance between two bodies with respect to each joint at q (n,), for
-    each given pair of bodies.
+    """Compute how the distance between two bodies, such as bodies in contact at the start, changes with each
+    joint at q (n,), for each given pair of bodies.
 
     The result is an array (pairs, n) [m/rad or m/m]. Two flat faces in contact come nearer for either
     direction of rotation; the central difference cancels this effect and leaves the motion along the pair's

@@ -64,7 +64,7 @@ def pose_data(T: SE3) -> dict[str, Any]:
 
 
 def object_data(item: CollisionObject) -> dict[str, Any]:
-    """Convert the shapes and properties of a scene object to JSON data for the record of a run.
+    """Convert the shapes and properties of a scene object to the JSON data that the MCAP writer stores.
 
     Point clouds and octrees are stored by name only, because they are large and may arrive ten times a
     second.
@@ -78,8 +78,8 @@ def object_data(item: CollisionObject) -> dict[str, Any]:
 
 
 def object_of(name: str, data: dict[str, Any]) -> CollisionObject | None:
-    """Create a scene object from JSON data in a record.
-    Return None if the record contains no shapes for it.
+    """Create a scene object from the JSON data that the MCAP writer stored. Return None if the data contain
+    no shapes for the object.
     """
     shapes = [
         (shape, SE3.from_mapping(each["pose"], "pose"))

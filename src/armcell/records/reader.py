@@ -55,7 +55,7 @@ class RecordedState:
 
     @property
     def time(self) -> float:
-        """Return the time [s] of the cell's clock for a recorded state."""
+        """Return the time [s] of the cell's clock for a state that was read from a record."""
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
@@ -303,14 +303,14 @@ class StageSpan:
 
 
 def stage_name(event: Event) -> str:
-    """Return the stage name in a recorded event: the entry `name` or `stage` of its data,
-    or else the event's text.
+    """Read the stage name from an event of a record: the entry `name` or `stage` of its data, or else the
+    event's text.
     """
     return str(event.data.get("name") or event.data.get("stage") or event.text)
 
 
 def ends_stage(event: Event) -> bool:
-    """Return whether a recorded stage event marks the end of the stage.
+    """Return whether a stage event that was read from a record marks the end of the stage.
 
     The phase is `data["phase"]`, by default "begin".
     """

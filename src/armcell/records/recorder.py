@@ -55,15 +55,15 @@ class Series:
 
     @property
     def object_heights(self) -> dict[str, Array]:
-        """Return the height (world z) of each object's origin (n,) [m] during a recorded run, by
+        """Return the height (world z) of each object's origin (n,) [m] at the samples of the run recorder, by
         object name.
         """
         return {name: xyz[:, 2] for name, xyz in self.object_positions.items()}
 
 
 def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
-    """Create the folder `root/<YYYYmmdd-HHMMSS>-<cell>/` for a recorded run.
-    If it already exists, append the suffix "-2".
+    """Create the folder `root/<YYYYmmdd-HHMMSS>-<cell>/` for the recorder of a new run. If it already exists,
+    append the suffix "-2".
 
     Args:
         root: usually "runs"; created if missing.
@@ -229,7 +229,8 @@ class RunRecorder:
             self._keep(self._skipped)
 
     def _keep_on_disk(self, write: Callable[[], None]) -> None:
-        """Call a function that writes a record to disk. A disk error ends the recording but not the run.
+        """Call a function with which the run recorder writes to disk. A disk error ends the recording but not
+        the run.
 
         A real arm may be moving when the error occurs.
         """
@@ -289,7 +290,9 @@ def _series(joint_names: tuple[str, ...], samples: list[StateSample]) -> Series:
 
 
 def _in_order(joint_names: tuple[str, ...], state: JointState, kind: str) -> Array | None:
-    """Return recorded values of one kind in a given joint order. Missing joints get NaN."""
+    """Return the values of one kind from a state of the run recorder, in a given joint order. Missing joints
+    get NaN.
+    """
     values = getattr(state, kind)
     if values is None or state.joint_names == joint_names:
         return values

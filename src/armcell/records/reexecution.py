@@ -42,7 +42,7 @@ def reexecute(
 
 
 def checked_cell(record: Record, anyway: bool = False) -> Any:
-    """Return the cell of a recorded run after checking that the run can be reproduced.
+    """Return the cell of a recorded run for re-execution, after checking that the run can be reproduced.
 
     Raises:
         InputError: the run is not reproducible; the text gives the cause.

@@ -123,7 +123,9 @@ class SceneMarkers:
         return self._update(stamp, named)
 
     def change(self, changes: Mapping[str, Any]) -> None:
-        """Apply the data of an event of kind "scene" (`scene_changes`) to the drawn objects."""
+        """Apply the data of an event of kind "scene" (`scene_changes`) to the objects that are drawn as
+        markers.
+        """
         new = {**changes.get("added", {}), **changes.get("changed", {})}
         moved = {n: self._objects[n].at(T) for n, T in changes.get("moved", {}).items() if n in self._objects}
         removed = [self._objects.pop(name) for name in changes.get("removed", ()) if name in self._objects]
@@ -153,7 +155,7 @@ class SceneMarkers:
         return item.name, frame, [(shape, T @ T_shape, item.color) for shape, T_shape in item.shapes]
 
     def contacts(self, stamp: Any, time: float, contacts: tuple[Contact, ...]) -> Any | None:
-        """Return the message with a sphere at each contact, or None if it is not due at time [s]."""
+        """Return the message with a sphere marker at each contact, or None if it is not due at time [s]."""
         if not (contacts or self._touching):
             return None
         if contacts and self._touching and self._contacts_due - CONTACT_PERIOD <= time < self._contacts_due:
@@ -164,7 +166,9 @@ class SceneMarkers:
         return self._update(stamp, [("contacts", WORLD, drawn)])
 
     def _update(self, stamp: Any, named: Iterable[tuple[str, str, Sequence[Drawn]]]) -> Any:
-        """Convert markers (id, frame, shapes with poses in the frame and colors) to a complete message."""
+        """Convert scene markers (id, frame, shapes with poses in the frame and colors) to a complete
+        SceneUpdate message.
+        """
         clear = self._new("SceneEntityDeletion", timestamp=stamp, type=1, id="")  # all entities
         entities = [self._entity(stamp, *marker) for marker in named]
         return self._new("SceneUpdate", deletions=[clear], entities=[e for e in entities if e is not None])
@@ -183,7 +187,9 @@ class SceneMarkers:
         return self._new("SceneEntity", frame_id=frame, id=id, **fixed, **lists)
 
     def _primitive(self, shape: Shape, T: SE3, color: Color) -> tuple[str, Any] | None:
-        """Convert a shape at pose T to the name of its list in SceneEntity and a primitive of that list."""
+        """Convert a marker's shape at pose T to the name of its list in SceneEntity and a primitive of that
+        list.
+        """
         tint = self._new("Color", **dict(zip("rgba", map(float, color), strict=True)))
         at: dict[str, Any] = {"pose": self._pose(T), "color": tint}
         match shape:

@@ -89,9 +89,10 @@ class Goal:
         self.finished_at: float | None = None
 
     def accept(self) -> None:
-        """Accept a pending goal of a ROS action, like `setAccepted` of actionlib.
+        """Accept a pending goal in the ROS action server.
 
-        A pending goal becomes active; a goal whose cancellation is already requested becomes preempting.
+        A pending goal becomes active; a goal whose cancellation is already requested becomes preempting, as
+        with `setAccepted` of actionlib.
         """
         self._server._accept(self)
 
@@ -111,7 +112,7 @@ Execute = Callable[[Goal], ActionOutcome]
 
 
 class ActionServer:
-    """Server of one ROS 1 action (actionlib) on the message bus.
+    """Server of one ROS action, which uses five topics of the message bus as ROS 1's actionlib does.
 
     Args:
         bus: the message bus.

@@ -122,7 +122,9 @@ class Bus:
 
     @property
     def names(self) -> NameMap | None:
-        """Return the map from names in a program to names on the message bus, or None if there is none."""
+        """Return the namespace and remappings that this view of the message bus applies to names, or None if
+        there are none.
+        """
         return self._names
 
     @property
@@ -135,7 +137,7 @@ class Bus:
         self._root._parameters = parameters
 
     def full_name(self, name: str) -> str:
-        """Convert a topic or service name that a program uses to its full name on the message bus.
+        """Return the name of a topic or service on the message bus, given the name that a program uses.
 
         Raises:
             InputError: ROS does not accept the name.
@@ -147,7 +149,7 @@ class Bus:
 
     # --- topics ---
     def advertise(self, topic: str, type_name: str, latch: bool = False, owner: object = None) -> Publisher:
-        """Create a publisher on a topic of the message bus.
+        """Advertise a topic on the message bus and return a publisher for it.
 
         Args:
             topic: name of the topic.
@@ -187,8 +189,8 @@ class Bus:
         return subscription
 
     def attach(self, topic: str, type_name: str, put: Put, owner: object = None) -> Attachment:
-        """Connect a transport (such as the ROS 2 bridge) to a bus topic: each publisher calls the transport's
-        function `put` with every message, in the publisher's thread.
+        """Attach a transport (such as the ROS 2 bridge) to a topic of the message bus. The bus passes each
+        message to the transport's function `put`, in the publisher's thread.
 
         `put` receives the messages in order. It must be quick, must not raise, and must not use the bus. It
         does not receive messages of publishers with the same `owner`, because those messages arrived through

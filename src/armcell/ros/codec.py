@@ -26,7 +26,7 @@ MAX_ITEMS = 1 << 26
 
 
 class WireError(ArmcellError):
-    """Error of a codec that is given bytes which are not a ROS message of the expected type."""
+    """Error of a ROS message codec: the given bytes are not a message of the expected type."""
 
 
 class Codec:
@@ -150,7 +150,10 @@ def ros1_codec(schema: Schema | None = None) -> Codec:
 
 
 def cdr_codec(schema: Schema | None = None) -> Codec:
-    """Return the codec that reads and writes little-endian CDR with a 4-byte header, the encoding of ROS 2.
+    """Return the codec that reads and writes little-endian CDR with a 4-byte header for a schema, by default
+    the built-in schema.
+
+    CDR is the encoding of ROS 2.
 
     Args:
         schema: the message types; default: the built-in schema.

@@ -23,8 +23,8 @@ TIME_GAP = 1e-9  # [s] points less than a nanosecond apart count as simultaneous
 
 
 def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[float]) -> str | None:
-    """Return a hint about wrong units if joint positions exceed the
-    limits but would be valid as degrees or millimeters.
+    """Return a hint if the joint positions in a ROS message seem to be in degrees or millimeters: they exceed
+    the limits, but would be valid after conversion to rad or m.
 
     Args:
         model: the robot, for joint types and limits.
@@ -47,7 +47,8 @@ def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[floa
 
 
 def check_in_meters(T: SE3) -> None:
-    """Check that a pose is in meters. A pose more than 100 m from the origin is probably in millimeters.
+    """Check that a pose converted from a ROS message is in meters. A pose more than 100 m from the origin is
+    probably in millimeters.
 
     Raises:
         InputError: the translation is longer than 100 m.
@@ -227,8 +228,8 @@ def _check_names(names: Sequence[str], model: RobotModel) -> None:
 
 
 def _rows(points: Sequence[Any], field: str, n: int) -> np.ndarray | None:
-    """Collect one field, such as the velocities, from all points of a trajectory_msgs/JointTrajectory into an
-    array (points, n).
+    """Convert one field, such as the velocities, of all points in a trajectory_msgs/JointTrajectory message
+    to an array (points, n).
 
     Returns:
         The array, or None if no point sets the field.

@@ -60,21 +60,21 @@ class Interfaces(NamedTuple):
 
 
 def plain_name(name: str) -> str:
-    """Normalize the name of a ROS type: `pkg/msg/Name`, `pkg/srv/Name` and `pkg/action/Name` become
-    `pkg/Name`.
+    """Return the name under which a ROS type is defined: `pkg/Name` for `pkg/msg/Name`, `pkg/srv/Name` and
+    `pkg/action/Name`.
     """
     parts = name.split("/")
     return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in ("msg", "srv", "action") else name
 
 
 def rosbags_name(name: str) -> str:
-    """Convert the name of a ROS type, `pkg/Name`, to the form that rosbags uses, `pkg/msg/Name`."""
+    """Return the name under which rosbags stores a ROS message definition: `pkg/msg/Name` for `pkg/Name`."""
     package, _, item = name.partition("/")
     return f"{package}/msg/{item}"
 
 
 def field_parts(node: Any) -> tuple[bool, str, int | None]:
-    """Split the type of a ROS message field, as parsed by rosbags, into its parts.
+    """Split the type of a field in a ROS message definition, as parsed by rosbags, into its parts.
 
     Returns:
         Tuple (is a message, base type or `pkg/Name`, array length). The length is None for a field that is
@@ -196,7 +196,7 @@ def _sections(text: str, name: str, count: int) -> list[str]:
 
 
 def nested_types(definition: Definition) -> Iterator[str]:
-    """Yield the names of the message types that occur directly in the fields of a ROS message."""
+    """Yield the names of the message types that occur directly in the fields of a ROS message definition."""
     for _, node in definition.fields:
         is_message, name, _ = field_parts(node)
         if is_message:

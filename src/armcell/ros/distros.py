@@ -45,7 +45,7 @@ DEFAULT_DISTRO = "jazzy"
 
 
 def distro_from_environment() -> str:
-    """Return the distribution in `ROS_DISTRO` if armcell supports it, else "jazzy"."""
+    """Return the ROS 2 distribution that `ROS_DISTRO` names if armcell supports it, else "jazzy"."""
     name = os.environ.get("ROS_DISTRO", "")
     return name if name in DISTROS else DEFAULT_DISTRO
 

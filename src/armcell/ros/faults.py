@@ -21,8 +21,8 @@ MORE = "more"  # the shared kind for every new fault beyond the limit
 
 
 def write_failure(answer: Any, text: str, code: ErrorCode = ErrorCode.FAILURE) -> Any:
-    """Write the reason for a failure into the fields of a ROS action result or service response, and return
-    the changed result or response.
+    """Write a fault, the reason why a ROS action or service call failed, into the fields of its result or
+    response message, and return the changed message.
 
     A text field changes only if the reason contains its old text, for example if the field is empty. Error
     codes that already state a failure stay unchanged.

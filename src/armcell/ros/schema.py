@@ -55,8 +55,8 @@ DTYPES: dict[str, Any] = {
 
 
 class Message:
-    """Base class of all ROS message classes. The attribute `_type` contains the name of the type, `pkg/Name`;
-    constants are class attributes.
+    """Base class of the ROS message classes that a schema creates. The attribute `_type` contains the name of
+    the type, `pkg/Name`; constants are class attributes.
     """
 
     __slots__ = ()
@@ -78,7 +78,7 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 class TimeMessage:
-    """Base class of the ROS messages for times and durations, which converts between their fields and
+    """Base class of the time and duration messages in a ROS schema, which converts between their fields and
     seconds.
     """
 
@@ -94,7 +94,7 @@ class TimeMessage:
 
     @classmethod
     def from_sec(cls, seconds: float) -> Any:
-        """Create a ROS time or duration message from seconds, rounded to the nearest nanosecond.
+        """Create a time or duration message of a ROS schema from seconds, rounded to the nearest nanosecond.
 
         `nanosec` is in the range 0 to 999999999.
         """
@@ -109,14 +109,15 @@ STAMPS = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
 
 
 def python_name(field: str) -> str:
-    """Return the Python attribute name for a field of a ROS message. If the field is named like a Python
-    keyword, an underscore is appended: `lambda_`.
+    """Return the attribute name that the message classes of a schema use for a field. If the field is named
+    like a Python keyword, an underscore is appended: `lambda_`.
     """
     return f"{field}_" if keyword.iskeyword(field) else field
 
 
 def make_class(name: str, definition: Definition, find: Callable[[str], type]) -> type:
-    """Create the Python class of the ROS message `pkg/Name` from its definition.
+    """Create the Python class with which a schema represents the ROS message `pkg/Name`, from the definition
+    of the message.
 
     Args:
         name: message name, `pkg/Name`.
@@ -157,7 +158,8 @@ def _several(make: Callable[[], Any], count: int) -> list[Any]:
 
 
 class ArrayConverter:
-    """Converter that turns the lists in a ROS message into arrays of the type that the encoder needs.
+    """Converter that turns the lists in a ROS message into arrays of the types that the message schema
+    defines.
 
     The original message does not change, and valid fields are not copied.
     """
@@ -210,8 +212,8 @@ def _array(message: Any, name: str, value: Any, dtype: np.dtype) -> Any:
 
 
 def _fits(array: Any, dtype: np.dtype) -> bool:
-    """Return whether the array in a message field can be converted to a numeric type without changing any
-    value.
+    """Return whether the array in a message field can be converted to the numeric type that the message
+    schema defines, without changing any value.
     """
     if dtype.kind == "f":
         return array.dtype.kind in "fiub"

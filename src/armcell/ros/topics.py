@@ -20,7 +20,7 @@ Put = Callable[[Any], None]
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """Snapshot of a topic on the message bus: its type, its connections and its message counts."""
+    """Snapshot of one bus topic: its type, its connections and its message counts."""
 
     name: str
     type: str
@@ -32,7 +32,7 @@ class TopicInfo:
 
 
 class Topic:
-    """Publishers and receivers of one topic on the message bus.
+    """Topic of the message bus, with its publishers and receivers.
 
     The topic's lock ensures that all receivers get the messages in the same order. A member that closes calls
     the bus's function `leave`, which removes the topic without members.
@@ -87,7 +87,7 @@ class Topic:
 
 
 def _same(publisher: Publisher, receiver: Attachment) -> bool:
-    """Return whether a publisher and a receiver on the message bus belong to the same transport."""
+    """Return whether a publisher and a receiver of a bus topic belong to the same transport."""
     return publisher.owner is not None and publisher.owner is receiver.owner
 
 
@@ -116,7 +116,7 @@ class Member:
 
 
 class Publisher(Member):
-    """Publisher of messages on one topic of the message bus."""
+    """Publisher of messages on one bus topic."""
 
     def __init__(self, topic: Topic, latch: bool, owner: object = None):
         super().__init__(topic, owner)
@@ -143,9 +143,7 @@ class Publisher(Member):
 
 
 class Attachment(Member):
-    """Connection of a transport to a topic of the message bus, with the transport's function that receives
-    the topic's messages.
-    """
+    """Receiver of a bus topic, which passes each message of the topic to a function of a transport."""
 
     def __init__(self, topic: Topic, put: Put, owner: object = None):
         super().__init__(topic, owner)
@@ -153,7 +151,7 @@ class Attachment(Member):
 
 
 class Subscription(Attachment):
-    """Subscription to a topic of the message bus, with a bounded queue of unread messages.
+    """Subscription to a bus topic, with a bounded queue of the topic's unread messages.
 
     Attributes:
         dropped: number of unread messages that the full queue has dropped.
@@ -177,7 +175,7 @@ class Subscription(Attachment):
             self._arrived.notify()
 
     def get(self, timeout: float | None = None) -> Any:
-        """Return the oldest unread message of a subscription on the message bus.
+        """Return the oldest unread message of a subscription to a bus topic.
 
         Args:
             timeout: longest wait for a message [s]; None waits until the subscription is closed.
@@ -200,7 +198,9 @@ class Subscription(Attachment):
         self._joined.append(self._attach(topic, type_name, self._put))
 
     def run(self, callback: Callable[[Any], None]) -> None:
-        """Start a thread that calls `callback` with each message until the bus subscription closes."""
+        """Start a thread that calls `callback` with each message of the subscribed bus topic until the
+        subscription closes.
+        """
         require(self._thread is None, f"the subscription of {self.topic} has a callback already")
 
         def loop() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,14 +75,16 @@ class Material:
 
     @property
     def sliding(self) -> float:
-        """Return the friction coefficient that an object's material has in a sliding contact.
+        """Return the friction coefficient that a collision object's material has in a sliding contact.
 
         The result is `dynamic_friction`, or `friction` if that is None.
         """
         return self.friction if self.dynamic_friction is None else self.dynamic_friction
 
     def scaled(self, factor: float) -> Material:
-        """Return an object's material with its static and dynamic friction multiplied by `factor`."""
+        """Return a collision object's material with its static and dynamic friction multiplied by
+        `factor`.
+        """
         dynamic = None if self.dynamic_friction is None else self.dynamic_friction * factor
         return replace(self, friction=self.friction * factor, dynamic_friction=dynamic)
 
@@ -120,7 +122,9 @@ class ScrewThread:
 
 
 def is_color(color: Any) -> bool:
-    """Return whether a value is a valid RGBA color for scene objects: a tuple of four numbers from 0 to 1."""
+    """Return whether a value is a valid RGBA color of a collision object: a tuple of four numbers from 0 to
+    1.
+    """
     return len(color) == 4 and all(0 <= part <= 1 for part in color)
 
 
@@ -159,6 +163,9 @@ class CollisionObject:
     type: ObjectType = ObjectType()
     thread: ScrewThread | None = None  # screw connection to another object, in physics
     belt: tuple[float, float, float] | None = None  # [m/s, object frame] surface velocity of a fixed object
+    WRITTEN_AS: ClassVar[str] = (
+        'CollisionObject.single("box", Box(0.1, 0.1, 0.1), SE3.from_xyz(0.4, 0.0, 0.2))'
+    )
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -273,8 +280,8 @@ def shape_volume(shape: Shape) -> float:
 
 
 def _unit_inertia(shape: Shape) -> tuple[F64, F64]:
-    """Return the center of mass (3,) [m] and the inertia (3, 3) [m^2] of
-    a shape with uniform density and a mass of 1 kg.
+    """Return the center of mass (3,) [m] and the inertia (3, 3) [m^2] of a collision object's shape with
+    uniform density and a mass of 1 kg.
 
     The inertia is relative to the center of mass. A mesh that is not closed counts as its convex hull.
     """
@@ -310,7 +317,8 @@ def _unit_inertia(shape: Shape) -> tuple[F64, F64]:
 
 
 def solid_inertia(shapes: Iterable[tuple[Shape, SE3]], mass: float) -> tuple[F64, F64]:
-    """Return the center of mass (3,) [m] of an object and its inertia (3, 3) [kg m^2] about that center.
+    """Return the center of mass (3,) [m] of a collision object and its inertia (3, 3) [kg m^2] about that
+    center.
 
     Both are in the object's frame. The mass is distributed evenly over the shapes' volumes; overlaps count
     twice.
@@ -337,7 +345,8 @@ def solid_inertia(shapes: Iterable[tuple[Shape, SE3]], mass: float) -> tuple[F64
 
 @dataclass(frozen=True, eq=False)
 class MovingObject:
-    """Moving obstacle with a known motion: an object whose poses are given at times (k,) [s].
+    """Moving object of a planning scene with a known motion: a collision object whose poses are given at
+    times (k,) [s].
 
     Between two times the object moves in a straight line and turns evenly; before the first and after the
     last time it is at rest. `object.T_world_object` is ignored.
@@ -367,8 +376,8 @@ class MovingObject:
 
     @property
     def reach(self) -> float:
-        """Return an upper bound on the distance [m] from the origin
-        of a moving obstacle to any of its points.
+        """Return an upper bound on the distance [m] from the origin of a moving collision object to any of
+        its points.
         """
         found = 0.0
         for shape, T in self.object.shapes:
@@ -378,7 +387,7 @@ class MovingObject:
         return found
 
     def pose(self, t: float) -> SE3:
-        """Return the pose T_world_object of a moving obstacle at time `t` [s]."""
+        """Return the pose T_world_object of a moving collision object at time `t` [s]."""
         i = int(np.searchsorted(self.times, t, side="right")) - 1
         if i < 0:
             return self.poses[0]
@@ -388,8 +397,8 @@ class MovingObject:
         return self.poses[i].interpolate(self.poses[i + 1], float(share))
 
     def travel(self, t0: float, t1: float) -> float:
-        """Return an upper bound on how far [m] a moving object of the scene travels between the times t0 and
-        t1 [s].
+        """Return an upper bound on how far [m] a moving collision object travels between the times t0 and t1
+        [s].
 
         The bound holds for every point of the object.
         """
@@ -397,8 +406,8 @@ class MovingObject:
         return float(b - a)
 
     def swept(self, t0: float, t1: float, step: float = 0.02, most: int = 200) -> CollisionObject:
-        """Return one fixed object that consists of copies of a moving object along its path between the times
-        t0 and t1.
+        """Return one fixed object that consists of copies of a moving collision object along its path between
+        the times t0 and t1.
 
         The result does not cover the space between the copies, so a motion planned around it must still be
         checked against the moving object at its times.

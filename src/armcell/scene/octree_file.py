@@ -188,7 +188,7 @@ LEAF, INNER = 2, 3  # the two bits that encode a child node, as a little-endian 
 
 
 def octree_bytes(octree: Octree) -> tuple[bytes, float]:
-    """Encode an octree in OctoMap's binary format.
+    """Encode an octree as the content of an octree file, in OctoMap's binary format.
 
     Cells off the octree's grid are replaced by the voxels that they overlap.
 
@@ -262,7 +262,8 @@ def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
 
 
 def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
-    """Return the voxels (m, 3) that the given octree cells overlap.
+    """Return the octomap voxels (m, 3) that the given cells of an octree overlap, to write the octree to a
+    file.
 
     The octree writer replaces each cell that does not fit OctoMap's voxel grid by these voxels.
 
@@ -283,8 +284,8 @@ def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
 
 
 def _apart(starts: I64, numbers: I64) -> tuple[I64, I64]:
-    """Remove the octree cells that are inside another cell, and return the remaining cells for the octree
-    file.
+    """Remove the octree cells that are inside another cell, and return the remaining cells, to write the
+    octree to a file.
     """
     order = np.lexsort((-numbers, starts))
     starts, numbers = starts[order], numbers[order]

@@ -280,7 +280,7 @@ def depth_points(
     nearest: float = 0.0,
     farthest: float = np.inf,
 ) -> F64:
-    """Convert the depth image of a camera to points (n, 3) [m, world frame].
+    """Convert the depth image of a camera to a point cloud (n, 3) [m, world frame].
 
     Args:
         depth: (rows, columns) distances along the optical axis, either floats [m] or integers [mm] (ROS's

@@ -28,7 +28,7 @@ class StablePose:
 
     @property
     def height(self) -> float:
-        """Return the height [m] of an object's origin above its support in a stable resting pose."""
+        """Return how far [m] an object's origin is above its support in a stable resting pose."""
         return -float(self.foot[0] @ self.up)
 
 
@@ -89,8 +89,8 @@ def plane_axes(up: Array) -> tuple[Array, Array]:
 
 
 def polygon(points: Array, up: Array) -> Array:
-    """Return the convex support polygon (n, 3) around coplanar points, counterclockwise when seen
-    from `up`.
+    """Return the convex support polygon (n, 3) of a resting pose around coplanar points, counterclockwise
+    when seen from `up`.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -104,8 +104,8 @@ def polygon(points: Array, up: Array) -> Array:
 
 
 def margin_of(corners: Array, up: Array, point: Array) -> float:
-    """Return the stability margin: the distance [m] in the plane from a point to the nearest polygon edge,
-    negative outside.
+    """Return the stability margin of a resting pose: the distance [m] in the plane from a point to the
+    nearest edge of the support polygon, negative outside.
     """
     if len(corners) < 3:
         return -np.inf

@@ -157,6 +157,11 @@ class PlanningScene:
         Raises:
             InputError: a link, a fixed frame or an attached object has the name of one of them.
         """
+        items = list(items)
+        for item in items:
+            if not isinstance(item, CollisionObject):
+                hint = f"for example {CollisionObject.WRITTEN_AS}"
+                raise InputError(f"a scene consists of CollisionObjects, not of {item!r}", hint=hint)
         added = {item.name: item for item in items}
         for name in added:
             self.check_new_name(name)

@@ -101,7 +101,7 @@ def _shape_lines(name: str, shape: Shape) -> list[str]:
 
 
 class _Reader:
-    """Reader for a .scene file. It reads one word at a time and keeps track of the line number.
+    """Reader of a MoveIt .scene file. It reads one word at a time and keeps track of the line number.
 
     As in MoveIt's reader, line breaks only matter in object names.
     """

@@ -225,11 +225,11 @@ class ContactMonitor:
 
 
 def hand_wrench(built: BuiltModel, data: mujoco.MjData, gripper: str) -> F64:
-    """Return the wrench (6,) that a six-axis sensor measures on a gripper: force [N], then torque [Nm] about
-    the tcp.
+    """Return the wrench (6,) of all contacts on a gripper, as a six-axis sensor measures it: force [N], then
+    torque [Nm] about the tcp.
 
-    The wrench has world axes and includes all contacts of the last step. It excludes the hand's own weight,
-    like a sensor that compensates the tool's weight.
+    The wrench has world axes and belongs to the last step. It excludes the hand's own weight, like a sensor
+    that compensates the tool's weight.
     """
     count, index, total = data.ncon, built.grippers[gripper], np.zeros(6)
     if count == 0:

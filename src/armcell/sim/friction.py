@@ -122,7 +122,7 @@ HOLDING = (_F8, _F8, _I8, _I8, _I8, _I8, _I8, _B, _F8, _I8, _F8, _F8, _F8, _F8)
 
 
 class HeldObjectCorrection:
-    """Correction of the creep and drift of held objects. MuJoCo's soft contacts cause these errors.
+    """Correction of the creep and drift that MuJoCo's friction causes in held objects.
 
     Call `carry` after each step.
 
@@ -165,13 +165,14 @@ class HeldObjectCorrection:
         self._qpos = data.qpos
 
     def forget(self) -> None:
-        """Discard the hand poses of the last physics step, from which the motion of held objects is
-        corrected. Call this after the state has changed without a physics step.
+        """Discard the hand poses of the last physics step, from which the friction correction computes the
+        drift of held objects. Call this after the state has changed without a physics step.
         """
         self._past[:, 0] = 0.0
 
     def update(self, count: int, pairs: NDArray[np.int32]) -> None:
-        """Correct the creep and drift of held objects after Python code has taken a physics step.
+        """Correct the creep and drift that MuJoCo's friction causes in held objects, after Python code has
+        taken a physics step.
 
         Args:
             count: number of contacts.
@@ -187,8 +188,8 @@ class HeldObjectCorrection:
 
 
 def lag(settings: PhysicsSettings) -> float:
-    """Return the dimensionless factor of the formula for the lag of a held object behind a hand that moves on
-    an arc.
+    """Return the dimensionless factor in the formula for the lag of a held object behind a hand that moves on
+    an arc. MuJoCo's friction causes the lag.
 
     The lag per physics step dt is this factor times dt^2/2 dJ/dt v, the distance between the hand's arc and
     its tangent. J is the Jacobian of the contact, and v are the generalized velocities. The factor is 0 for
@@ -205,8 +206,8 @@ def lag(settings: PhysicsSettings) -> float:
 
 
 def _impratio(mj: mujoco.MjModel) -> F64:
-    """Return a writable view (1,) of MuJoCo's option `impratio`. The correction of held objects changes the
-    option through this view.
+    """Return a writable view (1,) of MuJoCo's friction option `impratio`, which determines how fast held
+    objects creep.
 
     The result is a private array if the memory layout is unknown.
     """
@@ -220,8 +221,8 @@ def _view(address: int) -> F64:
 
 @cache
 def _offset() -> int:
-    """Return the distance in memory, in doubles, from MuJoCo's option `gravity` to its option `impratio`. The
-    correction of held objects needs this offset to change `impratio`.
+    """Return the distance in memory, in doubles, from MuJoCo's option `gravity` to its friction option
+    `impratio`. The distance is needed to change `impratio`.
 
     The result is 0 if the memory layout is unknown.
 
@@ -237,8 +238,8 @@ def _offset() -> int:
 
 @njit(cache=True)
 def holding(fixed, k):
-    """Return the arrays of `HeldObjectCorrection` in the compiled physics step, reconstructed from their
-    memory addresses in the table `fixed`.
+    """Return the arrays of the friction correction (`HeldObjectCorrection`) in the compiled physics step,
+    reconstructed from their memory addresses in the table `fixed`.
 
     Row k of the table contains the address of the first array, and the next rows those of the others.
     """
@@ -253,8 +254,8 @@ def holding(fixed, k):
 
 @njit(cache=True)
 def _partner(owner, pairs, i, finger):
-    """Return the index of the link or object that touches a given finger in contact i, or -1.
-    Used to find held objects.
+    """Return the index of the link or object that touches a given finger in contact i, or -1. The friction
+    correction uses this index to find held objects.
     """
     a, b = owner[pairs[i, 0]], owner[pairs[i, 1]]
     if a == finger:
@@ -272,8 +273,8 @@ def _touches(count, pairs, owner, finger, item):
 
 @njit(cache=True)
 def _in_hand(count, pairs, owner, free, fingers):
-    """Return the index of the object that a hand holds, or -1.
-    All fingers (f,) of the hand touch this object.
+    """Return the index of the object in a hand whose friction must be corrected, or -1. All fingers (f,) of
+    the hand touch this object.
     """
     for i in range(count):
         item = _partner(owner, pairs, i, fingers[0])
@@ -289,8 +290,8 @@ def _in_hand(count, pairs, owner, free, fingers):
 
 @njit(cache=True)
 def _move(qpos, start, R, shift, turn):
-    """Correct the pose of a held object by a shift [m] and a small rotation vector [rad],
-    both along the world axes.
+    """Correct the pose of a held object, which drifts because of MuJoCo's friction, by a shift [m] and a
+    small rotation vector [rad], both along the world axes.
 
     Args:
         start: index of x, y, z, qw, qx, qy, qz in qpos.
@@ -313,8 +314,8 @@ def _move(qpos, start, R, shift, turn):
 
 @njit(cache=True)
 def _lags(x, R, v, w, point, past, dt, scale):
-    """Compute how far a held body lagged behind the hand in the last physics step: shift [m] and rotation
-    [rad].
+    """Compute how far a held object slid behind the hand in the last physics step because of MuJoCo's
+    friction: shift [m] and rotation [rad].
 
     The shift (3,) is that of a point of the body; the rotation is a rotation vector (3,).
 
@@ -346,8 +347,8 @@ def _lags(x, R, v, w, point, past, dt, scale):
 
 @njit(cache=True)
 def carry(count, pairs, qpos, arrays):
-    """Stop held objects from creeping and drifting in the hand, after a physics step: choose `impratio`
-    against creep, and shift each object by its lag behind the hand.
+    """Correct the errors of MuJoCo's friction after a physics step: choose `impratio` so that held objects do
+    not creep, and shift each object by its lag behind the hand.
 
     Args:
         count: number of contacts.

@@ -74,7 +74,9 @@ class _Reader:
             self.notes.append(text)
 
     def find_types(self, node: Mapping, name: str = "") -> None:
-        """Collect the types of the controllers from the parameters of ros2_control's controller manager."""
+        """Collect the types of the controllers in a gain file, from the parameters of ros2_control's
+        controller manager.
+        """
         if isinstance(node.get("type"), str):
             self.types.setdefault(name, node["type"])
         for key, value in node.items():
@@ -103,7 +105,7 @@ class _Reader:
                 self.walk(value, (*path, str(key)))
 
     def joint_entries(self, node: Mapping) -> dict[str, Any]:
-        """Return the gains under the key `pid` of a ros_control controller, by joint."""
+        """Return the gains under the key `pid` of a controller in a ros_control file, by joint."""
         if isinstance(node.get("joint"), str) and "pid" in node:
             return {node["joint"]: node["pid"]}
         names = node.get("joints")
@@ -113,8 +115,8 @@ class _Reader:
         return {n: entry["pid"] for n, entry in own.items() if isinstance(entry, Mapping) and "pid" in entry}
 
     def rank(self, place: str, kind: str, node: Mapping) -> int | None:
-        """Return the priority of the gains of a ros_control controller, or None for a velocity controller. If
-        several controllers have gains for the same joint, the gains with the highest priority apply.
+        """Return the priority of the gains of one controller in a ros_control file, or None for a velocity
+        controller. For each joint, the gains with the highest priority apply.
         """
         interfaces = node.get("command_interfaces") or node.get("command_interface") or []
         interfaces = [interfaces] if isinstance(interfaces, str) else interfaces

@@ -149,7 +149,8 @@ class Fingers:
 
 
 def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -> dict[int, list[float]]:
-    """Return the contact force [N] on each finger of a simulated gripper along its closing axis.
+    """Return the force [N] with which each finger of a simulated gripper presses on other bodies, along the
+    closing axis of the gripper.
 
     The closing axis is the tcp's y axis.
 
@@ -193,8 +194,8 @@ def gripper_state(built: BuiltModel, data: mujoco.MjData, suction: Suction, name
 
 
 def _suction_state(built: BuiltModel, suction: Suction, name: str) -> GripperState:
-    """Return the state of a suction gripper in the simulation. The object on which the most suction cups seal
-    counts as held.
+    """Return the `GripperState` of a suction gripper in the simulation. The object on which the most suction
+    cups seal counts as held.
     """
     cups, gripper = suction.rows(name), built.grippers[name].gripper
     assert isinstance(gripper, SuctionGripper)
@@ -211,7 +212,8 @@ def _suction_state(built: BuiltModel, suction: Suction, name: str) -> GripperSta
 
 
 def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
-    """Return the pose T_a_b between two MuJoCo bodies after the last physics step.
+    """Return the pose T_a_b between two MuJoCo bodies, such as a gripper and its held object, after the last
+    physics step.
 
     Both poses come from the same instant.
     """
@@ -219,7 +221,7 @@ def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
 
 
 def body_pose(data: mujoco.MjData, body: int) -> SE3:
-    """Return the pose T_world_body of a MuJoCo body after the last physics step."""
+    """Return the pose T_world_body of a MuJoCo body, such as a gripper's tcp, after the last physics step."""
     return SE3(SO3(data.xmat[body].reshape(3, 3).copy()), data.xpos[body].copy())
 
 
@@ -236,8 +238,8 @@ class _Grip:
 
 
 class Welder:
-    """MuJoCo implementation of the grip modes "weld" and "hybrid", which fix held objects to the gripper by
-    weld constraints.
+    """Welder that fixes held objects to simulated grippers by MuJoCo's weld constraints, in the grip modes
+    "weld" and "hybrid".
 
     `events` records every weld and its release.
     """

@@ -50,7 +50,9 @@ _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
 
 
 class GeomAdder:
-    """Builder that converts shapes to geoms in a MuJoCo spec. Geoms with the same mesh share one asset."""
+    """Builder that converts the shapes of objects and links to geoms in a MuJoCo spec. Geoms with the same
+    mesh share one asset.
+    """
 
     def __init__(self, spec: mujoco.MjSpec):
         self.spec = spec
@@ -66,7 +68,7 @@ class GeomAdder:
         split: Splitter = convex_pieces,
         **values: Any,
     ) -> list[Any]:
-        """Add colliding geoms for one shape to a MuJoCo body and return them.
+        """Add colliding geoms for one shape of an object or link to a MuJoCo body and return them.
 
         A primitive becomes one geom; `split` divides a mesh into convex pieces. Point clouds and octrees get
         no geoms, because physics ignores them.
@@ -87,7 +89,9 @@ class GeomAdder:
     def add_mesh(
         self, body: Any, mesh: Mesh, T_body_mesh: SE3, name: str, convex: bool = False, **values: Any
     ) -> Any:
-        """Add a mesh geom to a MuJoCo body. If the mesh is not `convex`, it is only visual."""
+        """Add a mesh of an object or link as a geom to a MuJoCo body. If the mesh is not `convex`, it is only
+        visual.
+        """
         asset = self._assets.get(id(mesh))
         if asset is None:
             asset = self._assets[id(mesh)] = f"mesh{len(self._assets)}"
@@ -108,7 +112,9 @@ class GeomAdder:
 
 
 def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
-    """Convert a cone to a closed convex mesh for MuJoCo. The vertices of its base are on a circle."""
+    """Convert the cone of a scene object to a closed convex mesh for MuJoCo. The vertices of its base are on
+    a circle.
+    """
     angle = 2 * np.pi * np.arange(edges) / edges
     base = np.stack(
         [cone.radius * np.cos(angle), cone.radius * np.sin(angle), 0 * angle - cone.length / 2], 1
@@ -121,7 +127,7 @@ def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
 
 
 def full_inertia(inertia: NDArray[np.float64]) -> list[float]:
-    """Return the inertia matrix (3, 3) of a shape as a list in the order that MuJoCo uses.
+    """Return the inertia matrix (3, 3) of an object or link as a list in the order that MuJoCo uses.
 
     The order is xx, yy, zz, xy, xz, yz.
     """
@@ -171,7 +177,7 @@ def add_object(
 
 
 def add_free_body(parent: Any, item: CollisionObject, T_parent_object: SE3) -> Any:
-    """Add a body for a scene object to a MuJoCo spec. The body has a free joint and inertia but no geoms."""
+    """Add a free scene object to a MuJoCo spec, as a body with a free joint and inertia but no geoms."""
     body = parent.add_body(name=item.name, pos=T_parent_object.translation, quat=T_parent_object.quat_wxyz)
     body.add_freejoint(name=f"{item.name}:free")
     _set_inertia(body, item)
@@ -185,14 +191,15 @@ def _set_inertia(body: Any, item: CollisionObject) -> None:
 
 
 def friction_coefficients(item: CollisionObject) -> list[float]:
-    """Return the friction coefficients of a scene object as MuJoCo needs them: sliding, torsional and
-    rolling.
+    """Return the material of a scene object as MuJoCo's list of coefficients: sliding, torsional and rolling
+    friction.
     """
     return [item.material.friction, item.material.torsional_friction, item.material.rolling_friction]
 
 
 def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> None:
-    """Add a slide joint to the MuJoCo body of a conveyor belt, along the belt's direction of motion.
+    """Add a slide joint to the MuJoCo body of a scene object that is a conveyor belt, along the belt's
+    direction of motion.
 
     Before every step, the world resets the joint's position to zero and its velocity to the belt speed. The
     belt therefore does not move, but the objects in contact with it see a moving surface.
@@ -205,8 +212,8 @@ def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> Non
 
 
 def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: ScrewThread) -> None:
-    """Add a slide joint and a hinge joint to MuJoCo for a screwed-in object.
-    The pitch of the thread couples the two joints.
+    """Add a slide joint and a hinge joint to the MuJoCo body of a screwed-in scene object. The pitch of the
+    thread couples the two joints.
     """
     per_radian = thread.pitch / (2 * np.pi)
     turns, axis = thread.travel / per_radian, [0.0, 0.0, 1.0]
@@ -242,15 +249,17 @@ def weld_name(item: str, gripper: str) -> str:
 
 
 def write_free(data: mujoco.MjData, start: int, T_world_object: SE3) -> None:
-    """Write the pose of a free object into MuJoCo's qpos.
-    The entries of the object's joint begin at index `start`.
+    """Write the pose of a free scene object into MuJoCo's qpos. The entries of the object's joint begin at
+    index `start`.
     """
     data.qpos[start : start + 3] = T_world_object.translation
     data.qpos[start + 3 : start + 7] = T_world_object.quat_wxyz
 
 
 class FixedBodyPoses:
-    """Poses of the fixed bodies in a compiled MuJoCo model. They can be changed until the next reset."""
+    """Poses of the fixed bodies, such as fixed objects, in a compiled MuJoCo model. They can be changed until
+    the next reset.
+    """
 
     def __init__(self, model: mujoco.MjModel):
         self._model = model
@@ -261,8 +270,8 @@ class FixedBodyPoses:
         self._model.body_quat[body] = T_world_body.quat_wxyz
 
     def has_moved(self, body: int) -> bool:
-        """Return whether the current pose of a fixed body differs
-        from its pose in the compiled MuJoCo model.
+        """Return whether the current pose of a fixed body, such as a fixed object, differs from its pose in
+        the compiled MuJoCo model.
         """
         position, quaternion = self._first
         moved = (self._model.body_pos[body] != position[body]).any()

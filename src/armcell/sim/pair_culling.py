@@ -100,7 +100,8 @@ class PairCulling:
 
 
 def _free_bits(model: mujoco.MjModel, plain: list[int]) -> list[int]:
-    """Return the bits that no contact mask of a geom uses, except on plain bodies, and except the lowest bit.
+    """Return the bits of MuJoCo's contact masks that pair culling may use. No geom uses these bits, except on
+    the bodies in `plain`; the lowest bit is excluded.
 
     Geoms of MJCF files may use any bits.
     """
@@ -110,8 +111,8 @@ def _free_bits(model: mujoco.MjModel, plain: list[int]) -> list[int]:
 
 
 def _touch_all(model: mujoco.MjModel, others: NDArray[np.bool_], bits: int) -> None:
-    """Let the geoms without their own bit touch the bodies with one, if they touched geoms with the default
-    masks before.
+    """Let geoms without a bit for pair culling touch the bodies that have one, if they touched geoms with the
+    default masks before.
     """
     accepting = others & (model.geom_conaffinity & 1 > 0)
     model.geom_conaffinity[accepting] |= bits
@@ -125,8 +126,8 @@ def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
-    """Return the pairs of body ids for which MuJoCo's contact tests
-    can be skipped while the bodies are far apart.
+    """Return the pairs of body ids that pair culling can handle: MuJoCo may skip their contact tests while
+    the bodies are far apart.
     """
     excluded = {(s >> 16, s & 0xFFFF) for s in model.exclude_signature.tolist()}
     weld = model.body_weldid.tolist()
@@ -142,8 +143,8 @@ def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def _plain(model: mujoco.MjModel, body: int) -> bool:
-    """Return whether contact tests of a body can be skipped while other bodies are far away. This requires
-    default collision masks and known distance functions for all geoms of the body.
+    """Return whether a body is suitable for pair culling. This requires default collision masks and known
+    distance functions for all geoms of the body.
 
     A body without geoms yields False.
     """
@@ -172,8 +173,7 @@ def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
 
 
 def _way_up(model: mujoco.MjModel, body: int) -> dict[int, list[tuple[int, tuple[float, ...]]]]:
-    """Return all joints that move a body, with bounds on how far each moves it.
-    Used to skip contact tests of distant bodies.
+    """Return all joints that move a body, with bounds on how far each joint moves the body, for pair culling.
 
     Returns:
         The joints by body id, from the given body up to the world. Each joint is a tuple: start index in

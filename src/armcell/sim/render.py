@@ -30,7 +30,8 @@ _CHECKER = 0.5  # [m] edge length of the checkerboard squares on an infinite pla
 
 
 def has_gl() -> bool:
-    """Return whether OpenGL can render images of simulated cameras on this machine.
+    """Return whether images of simulated cameras are rendered with OpenGL on this machine by default, instead
+    of by ray casting.
 
     The result is cached.
     """

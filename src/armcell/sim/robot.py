@@ -31,15 +31,15 @@ FINGER_INERTIA = 2.0  # [kg] largest armature of a hand's joint, as mass at the 
 
 
 def mjcf_links(model: RobotModel) -> dict[str, MjcfPart]:
-    """Return the MJCF part of each robot link that an MJCF file describes, by link name. Links without an
+    """Return the MJCF part from which each link of a simulated robot is built, by link name. Links without an
     MJCF file have no entry.
     """
     return {link: part for part in model.mjcf for link in part.links if link in model.links}
 
 
 def attach_part(spec: Any, parent: Any, model: RobotModel, link: str, T_parent_link: SE3) -> dict[str, Any]:
-    """Attach the bodies of an MJCF part to a MuJoCo spec, starting at a given link.
-    Return the attached bodies by link.
+    """Attach the bodies of a robot's MJCF part to the MuJoCo spec of the simulation, starting at a given
+    link. Return the attached bodies by link.
 
     The bodies keep their inertias, contact parameters, joint parameters, equalities, tendons and excludes;
     names get the part's prefix.
@@ -124,7 +124,9 @@ def add_robot(
 
 
 def _finger_scales(model: RobotModel) -> dict[str, float]:
-    """Return for each rotating gripper joint, by name, how far [m] its finger moves per radian."""
+    """Return for each rotating gripper joint of a simulated robot, by name, how far [m] its finger moves per
+    radian.
+    """
     return {
         name: gripper.finger_travel_per_joint
         for gripper in model.grippers.values()
@@ -239,8 +241,8 @@ def _add_visuals(adder: GeomAdder, body: Any, link: Link) -> None:
 
 
 def add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
-    """Exclude contacts in MuJoCo between robot links that may touch,
-    and between links that one joint connects.
+    """Exclude contacts in MuJoCo between links of the simulated robot that may touch, and between links that
+    one joint connects.
 
     The allowed pairs come from the scene and its model. The hulls of neighboring links overlap at their
     joint, so a contact there would be meaningless.
@@ -309,8 +311,8 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
 
 
 def _turn_pad_boxes(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper) -> None:
-    """Rename the axes of the boxes on a gripper's fingers so that x is the closing direction. The boxes
-    themselves do not change.
+    """Rename the axes of the boxes on the fingers of a simulated robot so that x is the closing direction.
+    The boxes themselves do not change.
 
     Where the side of a cylinder touches the edge of a box, MuJoCo 4.0 computes two contacts with the normal
     of the first face along the edge, even if the cylinder presses on the other face (fixed in MuJoCo's commit
@@ -333,8 +335,8 @@ def _turn_pad_boxes(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper) ->
 
 
 def _hand_joints(model: RobotModel, gripper: Gripper) -> list[str]:
-    """Return the names of the movable joints of a robot's gripper, including the joints of the gripper's
-    linkage.
+    """Return the names of the movable joints in the gripper of a simulated robot, including the joints of the
+    gripper's linkage.
     """
     arm = model.groups.get(gripper.arm_group)
     other = set(arm.joint_names) if arm is not None else set()
@@ -343,8 +345,8 @@ def _hand_joints(model: RobotModel, gripper: Gripper) -> list[str]:
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """Return the finger joints of a simulated gripper with their weights in the mean finger position: the
-    driven joint, and the joints that mimic it with zero offset.
+    """Return the finger joints of a simulated robot's gripper with their weights in the mean finger position:
+    the driven joint, and the joints that mimic it with zero offset.
 
     The weighted sum of their positions is the mean finger position. Equalities move the other joints.
     """
@@ -357,9 +359,9 @@ def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
 
 
 def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
-    """Return the largest force [N] of the servo that drives a robot's gripper in MuJoCo.
+    """Return the largest force [N] of the actuator with which a simulated robot moves its gripper.
 
-    A servo force f presses each finger with f / |width_per_joint|.
+    An actuator force f presses each finger with f / |width_per_joint|.
     """
     return min(
         settings.gripper_force * gripper.finger_travel_per_joint,
@@ -368,8 +370,8 @@ def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
 
 
 def servo_gains(gripper: Gripper, settings: PhysicsSettings) -> tuple[float, float]:
-    """Return the gains kp and kv of a robot's gripper servo in MuJoCo. The units are N/m and N s/m for a
-    sliding driven joint, Nm/rad and Nm s/rad for a turning driven joint.
+    """Return the gains kp and kv of the actuator with which a simulated robot moves its gripper. The units
+    are N/m and N s/m for a sliding driven joint, Nm/rad and Nm s/rad for a turning driven joint.
 
     The settings are those of sliding fingers; a turning joint gets the gains with the same effect there.
     """

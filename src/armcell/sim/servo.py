@@ -47,7 +47,8 @@ def drive_joints(law, at, qpos, qvel, ctrl):
 
 
 class JointTargets:
-    """Joint targets of a simulated motion at every tick, sampled ahead of time in batches.
+    """Joint targets that the arm servo tracks at every tick of a simulated motion, sampled ahead of time in
+    batches.
 
     Attributes:
         steps: physics steps per tick.
@@ -67,8 +68,8 @@ class JointTargets:
         self._rows = np.zeros((0, 0))
 
     def between(self, now: float, until: float) -> F64:
-        """Return the joint targets (k, 2n) of a simulated motion for all
-        ticks that start in the interval [`now`, `until`) [s].
+        """Return the joint targets (k, 2n) of the arm servo for all ticks that start in the interval [`now`,
+        `until`) [s].
 
         Each row holds the positions, then the velocities. The result has at least one row.
         """

@@ -50,7 +50,7 @@ ALL = 0x7FFFFFFF  # all bits of MuJoCo's contact masks
 
 @njit(cache=True)
 def drive_fingers(law, joints, weights, qpos, ctrl):
-    """Compute the setpoints of all gripper servos for the next physics step in the compiled stepping kernel.
+    """Compute the setpoints of all gripper servos for the next physics step in the compiled step kernel.
 
     Args:
         law: (g, 7) one row per gripper, changed in place.
@@ -78,7 +78,8 @@ def drive_fingers(law, joints, weights, qpos, ctrl):
 
 @njit(cache=True)
 def _before(qpos, apart):
-    """Mark the body pairs whose distance must be measured again, before a compiled physics step.
+    """Mark the body pairs whose distance must be measured again, in the compiled step kernel before a physics
+    step.
 
     The bodies of such a pair may have moved by the pair's limit since the last measurement. MuJoCo tests the
     pair for contact in this step. Return whether there are such pairs.
@@ -119,7 +120,8 @@ def _before(qpos, apart):
 
 @njit(cache=True)
 def _after(model, data, places, apart):
-    """Measure the distances of the body pairs that `_before` has marked, after a compiled physics step.
+    """Measure the distances of the body pairs that `_before` has marked, in the compiled step kernel after a
+    physics step.
 
     If the bodies of a pair are far enough apart, MuJoCo skips the pair again in the next steps. If not, it
     continues to test the pair.
@@ -157,7 +159,8 @@ def _after(model, data, places, apart):
 
 @njit(cache=True)
 def _apart(fixed, k):
-    """Return the arrays of the body pairs that are far apart (`PairCulling.arrays`).
+    """Return the arrays of the body pairs that are far apart (`PairCulling.arrays`) in the compiled step
+    kernel.
 
     Row k of the address table `fixed` describes the first of these arrays.
     """
@@ -177,8 +180,8 @@ def take_steps(
     model, data, begin, end, fixed, pairs, readable, unwanted, period, targets, controls, columns, limit,
     worst,
 ):  # fmt: skip
-    """Run physics steps in compiled code. Stop after the last step, at an unwanted contact, or when a joint
-    deviates too far from its target.
+    """Run physics steps in the compiled step kernel. Stop after the last step, at an unwanted contact, or
+    when a joint deviates too far from its target.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
@@ -243,8 +246,8 @@ def take_steps(
     cache=True,
 )  # fmt: skip
 def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
-    """Add up the contact forces on each finger along an axis,
-    separately for each link or object, in compiled code.
+    """Add up the contact forces on each finger along an axis, separately for each link or object, in the
+    compiled step kernel.
 
     Contacts between two fingers do not count.
 
@@ -283,8 +286,8 @@ def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
     cache=True,
 )  # fmt: skip
 def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first_object):
-    """Return two results in compiled code: the total finger force [N] along an axis, and the index of the
-    object between the fingers.
+    """Return two results in the compiled step kernel: the total finger force [N] along an axis, and the index
+    of the object between the fingers.
 
     The object is the one that all fingers press, or -1.
 
@@ -315,8 +318,7 @@ def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first
     cache=True,
 )  # fmt: skip
 def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
-    """Collect the contacts between a hand and other bodies, with their wrenches,
-    after a compiled physics step.
+    """Collect the contacts between a hand and other bodies, with their wrenches, in the compiled step kernel.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
@@ -347,7 +349,7 @@ def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
     cache=True,
 )
 def add_about(which, places, origin, wrenches, total):
-    """Add up the wrenches of a hand's contacts about one point, after a compiled physics step.
+    """Add up the wrenches of a hand's contacts about one point, in the compiled step kernel.
 
     Args:
         which: (k,) numbers of the contacts.

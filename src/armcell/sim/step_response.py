@@ -35,8 +35,8 @@ class StepResponse:
 
 
 def sag(scene: PlanningScene, settings: PhysicsSettings, duration: float = 1.0) -> dict[str, float]:
-    """Return how far [rad or m] each joint sags under gravity while it
-    holds its position in the physics simulation.
+    """Measure the static response of each joint: how far [rad or m] it sags under gravity while it holds its
+    position in the physics simulation.
 
     The joints hold the scene's positions under gravity for `duration` [s].
     """

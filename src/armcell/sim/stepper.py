@@ -105,7 +105,9 @@ class Stepper:
         return self.compiled.follow(targets, steps, tolerance, controls, columns, self.monitor)
 
     def check(self) -> None:
-        """Raise an ArmcellError if the simulated world has diverged (its state is not finite)."""
+        """Raise an ArmcellError if the steps have made the simulated world diverge (its state is not
+        finite).
+        """
         position, velocity, acceleration = _DIVERGED
         if self._warned(position) or self._warned(velocity) or self._warned(acceleration):
             raise ArmcellError(f"physics diverged at {self._data.time:.3f} s (a state is not finite)")
@@ -122,12 +124,14 @@ class Stepper:
         return before
 
     def _draw_vacuum(self, data: mujoco.MjData) -> None:
-        """Set the vacuum forces of all suction cups for the next physics step."""
+        """Let the stepper set the vacuum forces of all suction cups for the next physics step."""
         count = min(data.ncon, self.monitor.readable)
         self.suction.update(count, self.monitor.pairs, self._owner, data.ctrl)
 
     def _run_belts(self, data: mujoco.MjData) -> None:
-        """Reset all conveyor belts: joint positions to zero, and joint speeds to the belt speeds."""
+        """Let the stepper reset all conveyor belts: joint positions to zero, and joint speeds to the belt
+        speeds.
+        """
         for position, velocity, speed in self._built.belts:
             data.qpos[position], data.qvel[velocity] = 0.0, speed
 

@@ -150,7 +150,9 @@ class SimWorld:
 
     @property
     def monitor(self) -> ContactMonitor:
-        """Return the monitor of contacts, which records unwanted contacts at every physics step."""
+        """Return the contact monitor of the simulated world, which records unwanted contacts at every physics
+        step.
+        """
         return self._stepper.monitor
 
     @property

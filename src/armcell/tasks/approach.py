@@ -140,7 +140,7 @@ def shift_shown(scene: PlanningScene, item: str, gripper: Gripper, contact: Hand
 
 
 def _inside(points: Array, boxes: Array) -> NDArray[np.bool_]:
-    """Return which points (n, 3) are inside one of the boxes (k, 6) of a hand."""
+    """Return which points (n, 3) are inside one of the boxes (k, 6) of the approaching hand."""
     at = points[:, None]
     return np.all((at > boxes[:, :3]) & (at < boxes[:, 3:]), axis=2).any(1)
 

@@ -263,7 +263,9 @@ class TaskContext:
         return self.driver.is_simulated
 
     def slip_of(self, held: HeldObject) -> float:
-        """Return how far [m] a held object has slipped in the gripper since the task grasped it."""
+        """Return how far [m] a held object in the task's context has slipped in the gripper since the hand
+        grasped it.
+        """
         return held.T_tcp_object.distance_to(self.T_tcp_object(held.object, held.gripper))[0]
 
     def T_tcp_object(self, item: str, gripper: Gripper) -> SE3:

@@ -260,7 +260,8 @@ class _Hands:
         return tuple(found)
 
     def can(self, grasp: Grasp, pose: RestingPose) -> bool:
-        """Return whether the arm can grasp the object at a resting pose without collision.
+        """Return whether the arm can grasp the object without collision at a resting pose of a regrasp
+        sequence.
 
         A straight retreat must be possible as well.
         """

@@ -161,7 +161,7 @@ stage_types: Registry[Callable[..., Stage]] = Registry("stage", "armcell.stages"
 
 
 def make_stage(name: str, values: Mapping[str, Any]) -> Stage:
-    """Create a stage of a task from its entry in a cell file.
+    """Create a stage for the task search from its entry in a cell file.
 
     The default of `name` is the stage's own name.
 

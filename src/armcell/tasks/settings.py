@@ -27,8 +27,8 @@ _POSITIVE = (
 @dataclass(frozen=True)
 @checked()
 class Speed:
-    """Speed of a task's motions: scaling of velocity and acceleration
-    relative to the joint limits, in (0, 1].
+    """Speed setting for a task's motions: scaling of velocity and acceleration relative to the joint limits,
+    in (0, 1].
     """
 
     velocity: float

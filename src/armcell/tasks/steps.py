@@ -312,7 +312,9 @@ class Dwell:
 
 
 def not_held(ctx: TaskContext, text: str) -> Outcome:
-    """Report that the hand does not hold the expected object, and return the error outcome."""
+    """Report that the hand does not hold the object that a step of the task expects, and return the error
+    outcome.
+    """
     ctx.emit("grasp", text)
     return Outcome(ErrorCode.CONTROL_FAILED, text, {EMPTY: True})
 

@@ -29,7 +29,7 @@ Some = TypeVar("Some", bound=Outcome)
 
 
 def holding_condition(item: str) -> str:
-    """Return the name of the condition "a hand holds the object".
+    """Return the name under which the stages of a task list the condition "a hand holds the object".
 
     Stages list this name in `requires`, `provides` or `consumes`.
     """
@@ -45,7 +45,9 @@ class TaskError(InputError):
 
 
 class Container(Stage, Protocol):
-    """Stage that contains other stages and checks that their interfaces fit together."""
+    """Interface of those stages of a task that contain other stages: they check that the inner stages fit
+    together.
+    """
 
     stages: tuple[Stage, ...]
 
@@ -79,7 +81,7 @@ def available(start: PartialSolution) -> frozenset[str]:
 
 
 def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Check the interfaces (inputs and outputs) of stages that run in sequence."""
+    """Check the interfaces (inputs and outputs) of a task's stages that run in sequence."""
     problems: list[str] = []
     for i, stage in enumerate(stages):
         later = {name: s.name for s in stages[:i:-1] for name in getattr(s, "provides", ())}
@@ -92,8 +94,8 @@ def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene |
 def single(
     stage: Stage, have: frozenset[str], scene: PlanningScene | None, later: Mapping[str, str] = {}
 ) -> InterfaceCheck:
-    """Check the interface (inputs and outputs) of one stage.
-    If the stage is a container, its inner stages are checked too.
+    """Check the interface (inputs and outputs) of one stage of a task. If the stage is a container, its inner
+    stages are checked too.
 
     Args:
         later: names of later stages, by the names that they provide.

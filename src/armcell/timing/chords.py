@@ -26,7 +26,8 @@ def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
 
 
 def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, int]:
-    """Return a trajectory's times, positions, velocities, accelerations and interpolation kind.
+    """Return a trajectory's times, positions, velocities, accelerations and interpolation kind, to
+    approximate the trajectory by chords.
 
     The kind is 0 for positions only, 1 with velocities, 2 with velocities and accelerations.
     """

@@ -234,8 +234,8 @@ def _times(begins: Array, step: float) -> Array:
 
 
 def _largest_jerk(times: Array, q: Array, v: Array, a: Array, jerk: Array) -> float:
-    """Return the largest ratio of a joint's jerk to its jerk limit in the quintic interpolation of a
-    trajectory.
+    """Return the largest ratio of a joint's jerk to its jerk limit in a trajectory with quintic
+    interpolation.
 
     The ratio is computed at the ends of each interval and at the maximum between them.
     """

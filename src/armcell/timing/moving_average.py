@@ -198,8 +198,8 @@ def sample_moving_average(start, goal, pieces, motion, step, window):
 
 @njit(cache=True)
 def _largest_cubic(b0, b1, b2, b3):
-    """Return the largest absolute value that a cubic in Bernstein form reaches on [0, 1]; it bounds the peaks
-    of a trajectory.
+    """Return the largest absolute value of a cubic in Bernstein form on [0, 1]. It bounds the peaks of a
+    motion smoothed by a moving average.
     """
     best = max(abs(b0), abs(b3))
     d0, d1, d2 = b1 - b0, b2 - b1, b3 - b2  # its derivative / 3
@@ -220,8 +220,8 @@ def _largest_cubic(b0, b1, b2, b3):
 
 @njit(cache=True)
 def peaks(times, q, v, a, velocity, acceleration):
-    """Return the peaks of a sampled trajectory: the largest ratios |velocity| / limit and |acceleration| /
-    limit.
+    """Return the peaks of a motion smoothed by a moving average: the largest ratios |velocity| / limit and
+    |acceleration| / limit.
 
     The ratios hold at any time of the quintic interpolation.
 

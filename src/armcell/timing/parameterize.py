@@ -150,7 +150,8 @@ def fastest_motion(
     settings: TimingSettings,
     torque: TorqueModel | None = None,
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Compute the time-optimal parameterization of a path, without smoothing and sampling.
+    """Compute the fastest motion along a blended path, which is the time parameterization of the path before
+    smoothing and sampling.
 
     Returns:
         The arrays that `topp.fastest` returns.

@@ -24,8 +24,8 @@ MIN_GRIDDED = 16  # intervals of a line with torque limits
 
 @njit(cache=True)
 def grid(kind, length, turn, line_step):
-    """Divide the pieces of a path into intervals for time-optimal parameterization. Return the piece, start
-    and end of each interval.
+    """Divide the pieces of a path into intervals for TOPP (time-optimal path parameterization). Return the
+    piece, start and end of each interval.
 
     Start and end are path parameters in the piece. Lines are divided only if line_step > 0.
     """
@@ -48,7 +48,7 @@ def grid(kind, length, turn, line_step):
 @njit(cache=True, fastmath=FAST)
 def _largest_x(center, half, slope, i, ds, reach, cap):
     """Return the largest squared path speed x in [0, cap] that satisfies all constraints of interval i of the
-    path. The time-optimal path parameterization calls this function for each interval.
+    path, for TOPP (time-optimal path parameterization).
 
     x is allowed if some u has |u - center + slope x| <= half in every row of interval i and
     0 <= x + 2 ds u <= reach. Newton's method on a convex piecewise linear function takes a few steps.
@@ -75,8 +75,8 @@ def _largest_x(center, half, slope, i, ds, reach, cap):
 
 @njit(cache=True)
 def _row(alpha, beta, constant, limit, i, r, center, half, slope, cap):
-    """Store the constraint |alpha u + beta x + constant| <= limit in the tables of the time-optimal
-    parameterization, at interval i and row r.
+    """Store the constraint |alpha u + beta x + constant| <= limit at interval i and row r of the tables for
+    TOPP (time-optimal path parameterization).
 
     Return the upper bound that the constraint sets on x, at most `cap`.
     """
@@ -92,7 +92,8 @@ def _row(alpha, beta, constant, limit, i, r, center, half, slope, cap):
 
 @njit(cache=True, fastmath=FAST)
 def fastest(pieces, rests, piece, begin, end, velocity, acceleration, torque, torque_limit):
-    """Compute the time-optimal motion along the pieces of a path within joint limits and torque limits.
+    """Compute the time-optimal motion along the pieces of a path by TOPP (time-optimal path
+    parameterization), within joint limits and torque limits.
 
     The motion is at rest at both ends and at the end of each piece that `rests`.
 

@@ -29,8 +29,8 @@ UNTOLD = 1.0  # [kg] prior standard deviation of a mass: keeps poorly observable
 
 @dataclass(frozen=True, eq=False)
 class LoadEfforts:
-    """Joint efforts with which the load on the flange is estimated: those that a load of 1 kg adds, and those
-    that accelerate the empty arm.
+    """Joint efforts in a dry run with which the load on the flange is estimated: those that a load of 1 kg
+    adds, and those that accelerate the empty arm.
     """
 
     weight: Array  # (k, n) [Nm/kg] gravity torque of a mass at the flange
@@ -39,8 +39,8 @@ class LoadEfforts:
 
 
 def load_efforts(model: RobotModel, trajectory: JointTrajectory, times: Array) -> LoadEfforts:
-    """Compute the joint efforts from which the flange load is estimated, at times (k,) [s] of a trajectory.
-    The result contains efforts per kilogram of load and efforts that accelerate the arm without a load.
+    """Compute the joint efforts with which a dry run estimates the load on the flange, at times (k,) [s] of a
+    trajectory: efforts per kilogram of load, and efforts that accelerate the empty arm.
 
     The load is a point mass at the origin of each arm's last link. `swing` excludes held objects.
     """
@@ -61,8 +61,8 @@ def load_efforts(model: RobotModel, trajectory: JointTrajectory, times: Array) -
 
 
 def estimate_load(wrong: Array, kilo: Array, spread: Array) -> float:
-    """Estimate the load on the flange: return the additional mass [kg] that best explains the measured motor
-    currents.
+    """Estimate the load on the flange from a dry run: return the additional mass [kg] that best explains the
+    difference between measured and expected motor currents.
 
     The result is the expected value under a zero-mean normal prior with standard deviation `UNTOLD`.
 

@@ -38,8 +38,8 @@ STEADY = 0.002  # largest change of the speed scaling between two samples of con
 
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
-    """Recorded motion of an arm, and the dry run of the same motion in the simulated twin. The thresholds of
-    the twin guard are learned from such recordings.
+    """Recorded motion of an arm, and the dry run of the same motion in the simulated twin, from which the
+    twin guard learns its thresholds.
     """
 
     arm: str
@@ -97,8 +97,8 @@ class TwinGuard:
         poses: Mapping[str, SE3],
         held: Mapping[str, str],
     ) -> Outcome | None:
-        """Dry-run a trajectory in the simulated twin before the real arm executes it. Return the reason not
-        to execute it, or None.
+        """Let the twin guard dry-run a trajectory in the simulated twin before the real arm executes it.
+        Return the reason not to execute it, or None.
 
         Args:
             state: measured joint state at the start.
@@ -140,8 +140,8 @@ class TwinGuard:
 
 
 class MonitoredExecution:
-    """Execution handle that monitors a running motion. It compares each real arm with its simulated twin, and
-    slows or stops the arms if one deviates.
+    """Execution handle with which the twin guard monitors a running motion: it compares each real arm with
+    its simulated twin, and slows or stops the arms if one deviates.
 
     All calls are forwarded to the handle of the running motion.
     """

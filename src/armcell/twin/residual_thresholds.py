@@ -50,8 +50,8 @@ CREEP = 0.02  # [rad/s] at which Coulomb friction reaches 76 % of its final valu
 
 @dataclass(frozen=True, eq=False)
 class TwinSample:
-    """Measured sample of a moving real arm: joint positions, velocities and motor currents at one time of the
-    trajectory, for comparison with the simulated twin.
+    """Measured sample of a moving real arm, from which residual thresholds are learned: joint positions,
+    velocities and motor currents at one time of the trajectory.
     """
 
     clock: float  # [s] time on the trajectory
@@ -85,8 +85,8 @@ class ArmResidualThresholds:
     samples: int
 
     def current_of(self, effort: Array, velocity: Array) -> Array:
-        """Predict the motor currents (n,) [A] of a real arm from the joint torques and velocities of its
-        simulated twin, with the fitted motor model.
+        """Predict the motor currents (n,) [A] of a real arm, for the current residuals, from the joint
+        torques and velocities of its simulated twin.
 
         Args:
             effort: simulated joint torques (n,) [Nm].
@@ -143,8 +143,8 @@ class ArmResidualThresholds:
         return found
 
     def _of_currents(self, looks: Sequence[Array], doubt: Array) -> dict[str, Array]:
-        """Compare the motor currents and the load of a real arm with its simulated twin. Return each residual
-        divided by its threshold; omit residuals without enough samples.
+        """Return the residuals of a real arm's motor currents and load relative to its simulated twin,
+        divided by their thresholds. Residuals without enough samples are omitted.
 
         Args:
             looks: recent samples (2, n) of current residual [A] and current per kilogram [A/kg].
@@ -175,7 +175,7 @@ class ResidualThresholds:
     identity: Mapping[str, str]  # keys: robot, physics, real, calibration of each arm
 
     def save(self, file: Path) -> None:
-        """Write the thresholds for comparing real arms with their simulated twin to a JSON file.
+        """Write the residual thresholds of a cell's real arms and their simulated twin to a JSON file.
 
         Raises:
             InputError: the file cannot be written.
@@ -192,7 +192,7 @@ class ResidualThresholds:
 
     @staticmethod
     def load(file: Path) -> ResidualThresholds:
-        """Read the residual thresholds (bands) of a twin from a JSON file.
+        """Read the residual thresholds of a cell's real arms and their simulated twin from a JSON file.
 
         Raises:
             InputError: the file does not exist, or its format is not the current one.
@@ -282,8 +282,8 @@ def fit_thresholds(
 
 
 def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
-    """Fit a linear model of the motor current to the samples of each joint by least squares. The model
-    predicts the currents of a real arm from the torques and speeds of its simulated twin.
+    """Fit a linear model of the motor current to the samples of each joint by least squares. Current
+    residuals compare a real arm with this model's prediction from its simulated twin.
 
     Args:
         current, effort, speed: samples (k, n) in [A], [Nm], [rad/s].

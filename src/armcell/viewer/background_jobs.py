@@ -105,8 +105,8 @@ class Jobs:
 
 
 class LatestTaskWorker:
-    """Worker thread that runs only the latest function submitted under each name.
-    Older functions that have not started yet are dropped.
+    """Background thread of a panel that runs only the latest function submitted under each name. Older
+    functions that have not started yet are dropped.
     """
 
     def __init__(self) -> None:

@@ -319,7 +319,7 @@ class PlanningSession:
         return self._jobs.busy
 
     def plan(self) -> None:
-        """Start planning in the background. The plan or the failure is stored in `result`.
+        """Start planning for the session in the background. The plan or the failure is stored in `result`.
 
         If planning fails and was not canceled, the `explanation` of the failure follows. If the planner
         rejects the request as invalid, only `explanation` is set.

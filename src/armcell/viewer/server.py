@@ -124,7 +124,7 @@ def _free_port(host: str, port: int) -> int:
 # --- patches of viser, which has no hooks for the guard and for its console output ---
 @contextlib.contextmanager
 def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
-    """Protect every server that viser starts during a `with` block: a `PageGuard` checks each request before
+    """Protect every page server that viser starts during a `with` block: a guard checks each request before
     viser handles it.
 
     Yields:

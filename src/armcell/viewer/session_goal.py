@@ -38,7 +38,9 @@ TRIES = 2000  # random samples tested for a collision-free state
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Settings of a planning session, including those of its goal. The user selects them in the panel."""
+    """Settings with which a session plans to its goal: pipeline, planner, speeds and type of motion. The user
+    selects them in the panel.
+    """
 
     pipeline: str = "native"
     planner: str = "RRTConnect"
@@ -49,7 +51,7 @@ class PlanSettings:
     motion: str = FREE  # one of MOTIONS
 
     def check(self) -> None:
-        """Raise InputError if a setting of the planning session is invalid."""
+        """Raise InputError if a setting for planning to the session's goal is invalid."""
         find_planner(self.pipeline, self.planner)
         check_scaling(self.velocity_scaling, "velocity scaling")
         check_scaling(self.acceleration_scaling, "acceleration scaling")
@@ -61,8 +63,8 @@ class PlanSettings:
             raise InputError(f"motion is {self.motion!r}", hint=f"choose one of {', '.join(MOTIONS)}")
 
     def with_request_values(self, request: PlanRequest | CartesianRequest) -> PlanSettings:
-        """Return a copy of the planning session's settings, updated with the values of a planning request
-        (planner, speeds, type of motion).
+        """Return a copy of the settings for planning to the session's goal, updated with the values of a
+        planning request (planner, speeds, type of motion).
         """
         speeds: dict[str, Any] = {
             "velocity_scaling": request.velocity_scaling,
@@ -187,7 +189,7 @@ def keep_upright(scene: PlanningScene, group: str) -> Constraints:
 
 
 def first_group(scene: PlanningScene) -> str:
-    """Return the group of the robot that a new planning session selects by default.
+    """Return the group of the robot whose goal a new planning session shows by default.
 
     Prefer a gripper's arm group, then the first chain, then the first group with joints.
 

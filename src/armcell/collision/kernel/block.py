@@ -34,8 +34,10 @@ from armcell.collision.kernel.frames import (
     fk_block,
     interval_half_width_at,
     motion_margin,
+    rate_at,
     record_collision,
     record_contact,
+    required_distance_at,
     twist_block,
     velocity_at,
 )
@@ -44,6 +46,9 @@ from armcell.collision.kernel.pack import (
     BODY_SPHERE,
     DOF,
     FRAME,
+    GAP_GRID,
+    GAP_TABLE,
+    GAPS,
     GROUP_SPHERE,
     GROUP_SPHERES,
     GROUPS,
@@ -57,7 +62,19 @@ from armcell.collision.kernel.pack import (
     PAIRS,
     SPHERE,
 )
-from armcell.collision.kernel.simd import L, at_address, call, fma, load, mask_lt, pointer, splat, vabs, vsqrt
+from armcell.collision.kernel.simd import (
+    L,
+    at_address,
+    call,
+    fma,
+    load,
+    mask_lt,
+    pointer,
+    splat,
+    store,
+    vabs,
+    vsqrt,
+)
 from armcell.collision.kernel.world_collision import world_block
 
 # pyright: reportCallIssue=false
@@ -71,8 +88,8 @@ __all__ = ["EVERY", "EXACT", "FIRST", "PADDED", "PROVE", "STILL", "check_block",
 
 @inner_njit(forceinline=True)
 def _near(I, w, state, i, j, radii, more, mode):
-    """Return a bit mask of the SIMD lanes in which two balls may overlap.
-    Each ball encloses one body of a pair.
+    """Return a bit mask of those configurations in a block of 16 in which two balls may overlap. Each ball
+    encloses one body of a pair.
 
     In a proof, the balls are clear if their distance, shrinking at its rate (the relative velocity along the
     connecting line), lasts for half the interval; the distance of two points is a convex function of either
@@ -94,7 +111,7 @@ def _near(I, w, state, i, j, radii, more, mode):
 
 @inner_njit(forceinline=True)
 def _far(I, F, w, state, i, j, radii):
-    """Return whether a cheap test of a body pair shows in all SIMD lanes that the two bodies do not touch.
+    """Return whether a cheap test shows for all configurations of a block that two bodies do not touch.
 
     The test ignores the directions of motion.
     """
@@ -110,8 +127,8 @@ def _far(I, F, w, state, i, j, radii):
 
 @inner_njit
 def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
-    """Test the spheres of one group against the spheres of a group of another body. Return a bit mask of the
-    SIMD lanes with a possible contact, or DONE if the collision check can stop early.
+    """Test the spheres of one group against those of another body's group in a block of 16 configurations.
+    Return the bit mask of possible contacts, or DONE if the check of the block can stop early.
 
     The groups are g and h. Lanes are bits. Spheres whose inner balls are at most `close` apart are certainly
     too near.
@@ -147,10 +164,38 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
 
 
 @inner_njit
+def _apart_by_table(I, F, w, pair, slack, mode):
+    """Return a bit mask of the SIMD lanes in which a gap table proves that two robot bodies are apart, in a
+    proof for the whole interval. Pairs without a table are apart in no lane.
+    """
+    t = I[GAP_TABLE] + 5 * pair
+    if I[t] < 0:
+        return np.int64(0)
+    need = splat(F[I[PAIR_MARGIN] + pair])
+    if mode & PROVE:
+        motion, rate = splat(np.float32(0.0)), I[PAIR_RATE] + I[DOF] * pair
+        for j in range(I[DOF]):
+            motion = fma(vabs(load(w, rate_at(I, j))), splat(F[rate + j]), motion)
+        need = fma(load(w, interval_half_width_at(I)), motion, need + splat(slack))
+    at, g, first, second = required_distance_at(I), I[GAP_GRID] + 6 * pair, I[t + 1] * L, I[t + 2] * L
+    store(w, at, need)
+    apart, table = np.int64(0), I[GAPS] + I[t]
+    for lane in range(L):
+        x, y = (w[first + lane] - F[g]) * F[g + 1], (w[second + lane] - F[g + 3]) * F[g + 4]
+        a, b = int(x - F[g + 2] * np.floor(x / F[g + 2])), int(y - F[g + 5] * np.floor(y / F[g + 5]))
+        if a < I[t + 3] and b < I[t + 4] and F[table + a * I[t + 4] + b] > w[at + lane]:
+            apart |= np.int64(1) << lane
+    return apart
+
+
+@inner_njit
 def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, mode):
     i, j = I[I[PAIR] + 2 * pair], I[I[PAIR] + 2 * pair + 1]
     f, e, bodies = I[I[FRAME] + i], I[I[FRAME] + j], I[BODIES]
     sj, open_lanes = I[BODY_SPHERE] + 4 * j, np.int64(0)
+    undecided = ~_apart_by_table(I, F, w, pair, slack_pair[pair], mode)
+    if state[ALIVE] & undecided == 0:
+        return False
     for a in range(I[I[NEAR] + pair], I[I[NEAR] + pair + 1]):
         g = I[I[NEAR_GROUPS] + a]
         sg = I[GROUP_SPHERE] + 4 * g
@@ -166,6 +211,7 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, 
             near = _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode)
             if near == DONE:
                 return True
+            near &= undecided
             if near != 0 and mode & EXACT == 0 and record_collision(state, near, mode):
                 return True
             open_lanes |= near
@@ -179,8 +225,8 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, 
 
 @inner_njit
 def pairs_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Test all pairs of robot bodies against each other in 16 SIMD lanes.
-    Return True if no further test is needed.
+    """Test all pairs of robot bodies against each other in a block of 16 configurations. Return True if no
+    further test is needed.
 
     See `_check_arrays`.
     """
@@ -264,8 +310,8 @@ def check_address() -> int:
 
 @lru_cache(maxsize=1)
 def free_check_address() -> int:
-    """Return the memory address of a stub for the compiled collision check.
-    The stub always reports no collision, and code that calls the stub compiles quickly.
+    """Return the memory address of a stub that replaces the compiled block check. The stub always reports no
+    collision, and code that calls the stub compiles quickly.
     """
     return int(cfunc(types.int64(types.int64, types.int64, types.int64))(_free_check).address or 0)
 
@@ -275,8 +321,8 @@ def _free_check(handle, lanes, mode):
 
 
 def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the handle of a collision check: an array of memory addresses for compiled code.
-    The handle contains the addresses of the kernel arrays and of the compiled check function.
+    """Return the handle with which compiled code checks a block of configurations: the memory addresses of
+    the kernel's arrays and of the compiled check function.
 
     The arrays are the pack (I, F, D), the workspace (w, state, s), slack and slack_pair. The handle replaces
     nine arguments, each of which costs half a microsecond in a call from Python. Keep the arrays alive as
@@ -291,30 +337,28 @@ def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 @inner_njit(forceinline=True)
 def check_block(k, lanes, mode):
-    """Check a block of 16 configurations for collisions in one call, given a handle to the kernel's data."""
+    """Check a block of 16 configurations for collisions in one call, given the handle of the check."""
     return call(k[AT_CHECK], k[AT_SELF], lanes, mode)
 
 
 @inner_njit(forceinline=True)
 def ints(k):
-    """Return a pointer to the integer array of the collision kernel,
-    given the handle to the kernel's data.
-    """
+    """Return a pointer to the kernel's integer array from the handle of a block check."""
     return at_address(np.int32, k[AT_I])
 
 
 @inner_njit(forceinline=True)
 def lanes_of(k):
-    """Return a pointer to the workspace for the SIMD lanes,
-    given the handle to the collision kernel's data.
+    """Return a pointer to the workspace that holds a block of 16 configurations, from the handle of a block
+    check.
     """
     return at_address(np.float32, k[AT_W])
 
 
 @njit(cache=True, nogil=True)
 def touches(handle, mode, q):
-    """Return whether the SIMD collision kernel finds the configuration q (dof,) in collision, or cannot rule
-    out a collision.
+    """Return whether a block check finds the configuration q (dof,) in collision or cannot rule out a
+    collision.
 
     Python code can call this function. The function copies q to all SIMD lanes before the check.
     """

@@ -49,8 +49,8 @@ JOINTS = 2  # between the base and the other link; links with more joints betwee
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Sphere cover and convex pieces of a robot body (a link or held
-    object) in the body's own frame, for the kernel.
+    """Robot body (a link or held object) as the collision kernel stores it: sphere cover and convex pieces in
+    the body's own frame.
 
     Spheres (s, 5), their groups (g, 4) with sizes (g,), and one sphere around all.
     """
@@ -94,8 +94,8 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class PlacedBody:
-    """Sphere cover and convex pieces of a robot body, transformed to a frame of the planning group,
-    in the kernel's array format.
+    """Robot body in the collision kernel's array format: sphere cover and convex pieces, transformed to a
+    frame of the planning group.
     """
 
     around: F32
@@ -153,8 +153,8 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
 
 
 def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str, ...]:
-    """Return a cache key for the kernel data of a robot body.
-    It contains all values that determine the sphere cover and the pieces.
+    """Return a cache key for the kernel data of a robot body. It contains all values that determine the
+    body's sphere cover and convex pieces.
     """
     if isinstance(shape, Mesh):
         return (T, repr(overshoot), shape.vertices, shape.faces.astype(np.int64))
@@ -196,14 +196,14 @@ def _object_overshoot(shape: Shape) -> float:
 
 
 def _size(shape: Shape) -> float:
-    """Return the longest side [m] of a shape's bounding box, to prepare a robot's shapes for the kernel."""
+    """Return the longest side [m] of the bounding box of a shape that belongs to a kernel body."""
     _, half = local_bounds(shape)
     return 2 * float(half.max())
 
 
 def narrow_gaps(model: RobotModel) -> frozenset[str]:
-    """Return the base links that need a finer sphere cover, because their gap to another link is often too
-    narrow for the normal cover.
+    """Return the robot's base links whose kernel bodies need a finer sphere cover, because the gap to another
+    link is often too narrow for the normal cover.
 
     The distances are cached on disk.
     """
@@ -256,8 +256,8 @@ def _mesh_arrays(link: Link) -> tuple[np.ndarray, ...]:
 
 
 def _needs_fine_cover(base: Link, T_base: np.ndarray, other: Link, T_other: np.ndarray) -> bool:
-    """Return whether a base link needs a fine sphere cover: its gap to another link is too narrow for two
-    normal covers, but wide enough if the base has a fine cover.
+    """Return whether a base link's kernel body needs a fine sphere cover: the gap to another link is too
+    narrow for two normal covers, but wide enough if the base has a fine cover.
     """
     arguments = []
     for link, T in ((base, T_base), (other, T_other)):

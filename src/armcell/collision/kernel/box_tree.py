@@ -108,7 +108,8 @@ SPREAD = _spread()
 
 @inner_njit(forceinline=True)
 def to_shape_frame(F, m, cx, cy, cz):
-    """Transform points from the world frame to the frame of a world shape, one point per SIMD lane.
+    """Transform points from the world frame to the frame of a world shape, whose tree of boxes the kernel
+    then searches. Each SIMD lane holds one point.
 
     The rows of the transform's 3x4 matrix are stored in F, beginning at F[m].
     """
@@ -120,7 +121,8 @@ def to_shape_frame(F, m, cx, cy, cz):
 
 @inner_njit(forceinline=True)
 def rotate_to_shape_frame(F, m, cx, cy, cz):
-    """Rotate vectors from the world frame to the frame of a world shape, one vector per SIMD lane.
+    """Rotate vectors from the world frame to the frame of a world shape with its tree of boxes. Each SIMD
+    lane holds one vector.
 
     The rows of the transform's 3x4 matrix are stored in F, beginning at F[m]. Its translation is ignored.
     """
@@ -132,8 +134,8 @@ def rotate_to_shape_frame(F, m, cx, cy, cz):
 
 @inner_njit(forceinline=True)
 def boxes_hit(F, at, lx, ly, lz, hx, hy, hz):
-    """Test the 16 bounding boxes that start at F[at] against a given box.
-    Return a bit mask of those that overlap it.
+    """Test the 16 bounding boxes in a block of a box tree against a given box. Return a bit mask of those
+    that overlap it. The block starts at F[at].
     """
     mask = mask_lt(load(F, at), splat(hx)) & mask_lt(load(F, at + L), splat(hy))
     mask &= mask_lt(load(F, at + 2 * L), splat(hz)) & mask_lt(splat(lx), load(F, at + 3 * L))

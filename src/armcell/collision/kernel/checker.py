@@ -128,13 +128,13 @@ class KernelChecker:
         return other
 
     def is_free(self, q: ArrayLike) -> bool:
-        """Check with the SIMD kernel that no body that the group moves touches another body.
-        The check includes padding.
+        """Check with the kernel checker that no body that the group moves touches another body. The check
+        includes padding.
         """
         return not touches(self.handle, EXACT | PADDED, self._configuration(q))
 
     def touches(self, q: ArrayLike) -> bool:
-        """Check with the SIMD kernel whether any two bodies are in contact. The check ignores padding."""
+        """Check with the kernel checker whether any two bodies are in contact. The check ignores padding."""
         return bool(touches(self.handle, EXACT, self._configuration(q)))
 
     def _configuration(self, q: ArrayLike) -> Array:
@@ -169,8 +169,8 @@ class KernelChecker:
         return float(proven_clearance(self.handle, points, most, tolerance))
 
     def edge_is_free(self, a: ArrayLike, b: ArrayLike, step: float = 0.03) -> bool:
-        """Check a straight motion for collisions with the SIMD kernel, at samples at most `step`
-        [rad] apart.
+        """Check a straight motion for collisions with the kernel checker, at samples at most `step` [rad]
+        apart.
         """
         return bool(check_edge(self.handle, self._path(np.stack([np.asarray(a), np.asarray(b)])), step))
 

@@ -349,8 +349,8 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
 
 @inner_njit
 def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
-    """List the spheres, cubes or triangles of a cloud that may touch a robot body and so need an exact test.
-    Each call continues where the previous call stopped.
+    """List the parts of a cloud (spheres, cubes or triangles) that may touch a robot body and so need an
+    exact test. Each call continues where the previous call stopped.
 
     Call the function repeatedly with its own last result; begin with the body's first group, 0 and 0. It
     writes the index in F of each part to state[LISTED:].
@@ -409,7 +409,7 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
 
 @inner_njit(forceinline=True)
 def _turns(F, at, u, v, x, y):
-    """Return how an edge of a triangle crosses the ray from a point along +x in the xy plane, for 16
+    """Return how an edge of a cloud's triangle crosses the ray from a point along +x in the xy plane, for 16
     triangles at once: 1 = counterclockwise, -1 = clockwise, 0 = no crossing.
 
     Edges lead from corner u to corner v. 1 is counter-clockwise. Each edge is computed from its lower end, so

@@ -37,8 +37,8 @@ ROWS = {gjk.BALL: 4, gjk.CELL: 4, gjk.TRIANGLE: 12}
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Kernel arrays of a cloud: spheres, cubes or triangles that represent a world shape, stored in blocks
-    under a tree of bounding boxes.
+    """Arrays of a cloud in the kernel: spheres, cubes or triangles that represent a world shape, stored in
+    blocks under a tree of bounding boxes.
 
     The leaves of the tree are blocks of parts. `box` at the pose `T_shape_box` (4, 4) encloses all parts.
     `closed` is True if the triangles enclose a solid.
@@ -59,8 +59,8 @@ class Cloud:
 
 @lru_cache(maxsize=16)
 def cloud_of(shape: Shape) -> Cloud | None:
-    """Return the kernel's arrays for a shape with many parts: a point cloud, an octree or a nonconvex mesh.
-    Return None for a convex shape.
+    """Build the kernel's cloud arrays for a shape with many parts: a point cloud, an octree or a nonconvex
+    mesh. Return None for a convex shape.
     """
     center, half = local_bounds(shape)
     match shape:
@@ -100,7 +100,7 @@ def _cloud(
     high: F64,
     closed: bool = False,
 ) -> Cloud:
-    """Build the kernel arrays of a cloud from n spheres, cubes or triangles.
+    """Build the kernel's arrays of a cloud from n spheres, cubes or triangles.
 
     Args:
         parts: values of the parts, a row (n,) or a number for each of `ROWS`.

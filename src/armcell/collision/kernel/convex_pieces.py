@@ -117,7 +117,7 @@ def concatenate(parts: Iterable[ConvexPieces]) -> ConvexPieces:
 
 
 def join_pieces(robot: dict[str, NDArray], world: dict[str, NDArray]) -> dict[str, NDArray]:
-    """Concatenate the tables of the robot's convex pieces and those of the world."""
+    """Join the tables of the robot's convex pieces with those of the world's convex pieces."""
     joined = {name: np.concatenate([table, world[name]]) for name, table in robot.items()}
     joined["piece_points"][len(robot["piece_points"]) :, 0] += len(robot["points"])
     return joined
@@ -165,7 +165,7 @@ def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
 
 @lru_cache(maxsize=1024)
 def hull_points(mesh: Mesh) -> F64:
-    """Return the vertices (n, 3) of a mesh's convex hull, which represents the mesh in exact tests."""
+    """Return the vertices (n, 3) of a mesh's convex hull, which become a convex piece in the kernel."""
     from scipy.spatial import ConvexHull
 
     return mesh.vertices[ConvexHull(mesh.vertices).vertices]

@@ -30,8 +30,8 @@ FIT_VERSION = 2  # increase when `fit` returns other spheres, to invalidate the 
 
 
 def triangulated(shape: Shape) -> tuple[F64, NDArray[np.int64], float]:
-    """Return the vertices (v, 3) and faces (f, 3) of a triangulated shape,
-    and the largest gap [m] to the shape's true surface.
+    """Triangulate a shape to cover it with spheres: return the vertices (v, 3), the faces (f, 3), and the
+    largest gap [m] to the shape's true surface.
 
     The gap is the largest distance by which the true surface is outside the triangles.
     """
@@ -64,8 +64,8 @@ def triangulated(shape: Shape) -> tuple[F64, NDArray[np.int64], float]:
 
 
 def small_triangles(vertices: F64, faces: NDArray[np.int64], edge: float) -> F64:
-    """Split the surface of a solid for the collision kernel into triangles (m, 3, 3) whose edges are at most
-    `edge` [m] long.
+    """Split the surface of a solid into triangles (m, 3, 3) with edges of at most `edge` [m], which the
+    spheres of a cover must contain.
 
     The algorithm halves the longest edges. A sphere is convex, so it contains a triangle if it contains its
     vertices: covers need no margin between sample points.
@@ -353,8 +353,8 @@ def _neighbors_together(centers: F64) -> NDArray[np.int64]:
 
 
 def bounding_sphere(centers: F64, radii: F64) -> tuple[F64, float]:
-    """Return the center and radius of a small sphere that contains all given spheres, which have centers (n,
-    3) and radii (n,).
+    """Return the center and radius of a small sphere that contains all spheres of a cover, which have centers
+    (n, 3) and radii (n,).
 
     The iteration starts from the center of the bounding box and moves toward the farthest sphere.
     """
@@ -365,8 +365,8 @@ def bounding_sphere(centers: F64, radii: F64) -> tuple[F64, float]:
 
 @njit(cache=True)
 def _shrink(centers, radii, start):
-    """Compute a small bounding sphere around given spheres. In 60 steps, its center moves from `start` (3,)
-    toward the farthest sphere. Return the center and radius of the bounding sphere.
+    """Compute a small bounding sphere around the spheres of a cover: in 60 steps, its center moves from
+    `start` (3,) toward the farthest sphere. Return the center and the radius.
     """
     x, y, z = start
     step = 0.05

@@ -121,8 +121,8 @@ def run_exact_tests(I, F, D, w, state, s, slack, slack_pair, mode):
 
 @inner_njit
 def _needs(I, F, w, slack, slack_pair, body, other, mode):
-    """Compute the distance that two bodies must exceed to be collision-free in an exact test, one value for
-    each SIMD lane (configuration).
+    """Compute the distance that two bodies must exceed to pass the kernel's exact check, one value for each
+    SIMD lane (configuration).
 
     The part of the distance that does not depend on speed is also stored.
     """
@@ -200,7 +200,7 @@ def _relative(s):
 
 @inner_njit(forceinline=True)
 def _solid(I, piece):
-    """Return a convex piece of an exact test as a solid for GJK."""
+    """Return a convex piece as a solid for GJK, to check it exactly in the kernel."""
     points = I[PIECE_POINTS] + 2 * piece
     return gjk.ConvexSolid(
         I[I[PIECE_KIND] + piece],
@@ -213,8 +213,8 @@ def _solid(I, piece):
 
 @inner_njit
 def _piece_distance(I, F, D, a, b, enough, warm, s):
-    """Return the distance [m] between two convex pieces in an exact test.
-    If it exceeds `enough`, it may be only a lower bound.
+    """Return the distance [m] between two convex pieces in the kernel's exact check. If it exceeds `enough`,
+    it may be only a lower bound.
 
     The transforms of pieces a and b are at s[AT_A:] and s[AT_B:].
     """
@@ -368,7 +368,8 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
 
 @inner_njit
 def _is_inside(I, F, D, w, state, s, body, other, lane):
-    """Return whether a convex piece of a body is inside a world shape that is a closed mesh.
+    """Return whether the kernel's exact check finds a convex piece of a body inside a world shape that is a
+    closed mesh.
 
     No piece of the body may touch the mesh's surface.
     """

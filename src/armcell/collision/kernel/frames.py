@@ -56,8 +56,8 @@ Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def workspace(flat: Flat) -> Workspace:
-    """Allocate the kernel's workspace for one thread: SIMD lanes (float32),
-    state (int64) and scratch memory (float64).
+    """Allocate the workspace of the kernel for one thread: link frames and other values per SIMD lane
+    (float32), state (int64) and scratch memory (float64).
 
     The lanes are 64-byte aligned and hold, in this order:
 
@@ -77,16 +77,16 @@ def workspace(flat: Flat) -> Workspace:
 
 @inner_njit(forceinline=True)
 def rate_at(I, j):
-    """Return the index in the kernel's workspace array `w` at which the travel of joint j along the current
-    edge of a motion is stored.
+    """Return where the workspace array `w`, which also holds the link frames, stores the travel of joint j
+    along the current edge of a motion.
     """
     return (I[DOF] + j) * L
 
 
 @inner_njit(forceinline=True)
 def interval_half_width_at(I):
-    """Return the index in the kernel's workspace array `w` of the half width of the motion interval to
-    certify, which has one value per SIMD lane.
+    """Return where the workspace array `w`, which also holds the link frames, stores the half width of the
+    motion interval to certify. It has one value per SIMD lane.
 
     The joints' summed rotation in the interval is stored next.
     """
@@ -95,7 +95,7 @@ def interval_half_width_at(I):
 
 @inner_njit(forceinline=True)
 def required_distance_at(I):
-    """Return the index of the inputs of an exact test in the kernel's workspace array `w`: the required
+    """Return where the workspace array `w` of link frames stores the inputs of an exact test: the required
     distance [m] and the relative velocity of two bodies (8 SIMD vectors).
     """
     return (2 * I[DOF] + 2) * L
@@ -116,8 +116,8 @@ def twist_at(I, f):
 
 @inner_njit(forceinline=True)
 def center_at(I, i):
-    """Return the index in the workspace array `w` at which the kernel stores the center of a body, sphere
-    group or sphere.
+    """Return where the workspace array `w` of link frames stores the center of a body, sphere group or
+    sphere.
 
     Index i counts bodies first, then groups (bodies + i), then spheres (bodies + groups + i).
     """
@@ -126,8 +126,8 @@ def center_at(I, i):
 
 @inner_njit(forceinline=True)
 def velocity_at(I, i):
-    """Return the index in the kernel's workspace array `w` of the velocity vector of a sphere center. The
-    norm of the vector (speed) is stored after the vector.
+    """Return where the workspace array `w` of link frames stores the velocity vector of a sphere center. The
+    norm of the vector (speed) follows it.
 
     Both are per unit of the edge.
     """
@@ -136,7 +136,7 @@ def velocity_at(I, i):
 
 @inner_njit(forceinline=True)
 def body_margin_at(I, body):
-    """Return the index in the kernel's workspace array `w` of the margin that the kernel adds to a body's
+    """Return where the workspace array `w` of link frames stores the margin that the kernel adds to a body's
     size to certify a motion.
 
     The margin covers deviations and changes of velocity, but not the motion at constant speed
@@ -147,8 +147,8 @@ def body_margin_at(I, body):
 
 @inner_njit(forceinline=True)
 def local_at(I):
-    """Return the index in the workspace array `w` at which the kernel stores a sphere group's centers and
-    velocities, transformed to a cloud's frame.
+    """Return where the workspace array `w` of link frames stores a sphere group's centers and velocities,
+    transformed to a cloud's frame.
 
     Each sphere has 6 vectors.
     """
@@ -157,16 +157,16 @@ def local_at(I):
 
 @inner_njit(forceinline=True)
 def ball_at(I):
-    """Return the index in the kernel's workspace array `w` of a sphere group's bounding ball. The ball is
-    stored in the frame of the cloud under test.
+    """Return where the workspace array `w` of link frames stores a sphere group's bounding ball, in the frame
+    of the cloud under test.
     """
     return local_at(I) + 6 * GROUP * L
 
 
 @inner_njit(forceinline=True)
 def _sincos(x):
-    """Compute the sine and cosine of joint angles in SIMD lanes, for link frames. The error is below 1e-6 for
-    |x| < 1000.
+    """Compute the sine and cosine of joint angles in SIMD lanes, to compute link frames. The error is below
+    1e-6 for |x| < 1000.
     """
     n = vround(x * splat(np.float32(0.6366197723675814)))
     y = fma(n, splat(np.float32(-1.5703125)), x)

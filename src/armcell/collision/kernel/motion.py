@@ -45,7 +45,7 @@ ROOM = 2048  # capacity of a proof's stack of intervals
 
 @inner_njit(forceinline=True)
 def fill_lanes(I, w, p, a, b, at, step):
-    """Fill the 16 SIMD lanes with evenly spaced configurations on one edge of a motion.
+    """Fill the 16 SIMD lanes with evenly spaced configurations on one edge of a motion to check.
 
     The edge leads from p[a:] to p[b:]; the fractions of the edge are at, at + step, ...
     """
@@ -153,8 +153,8 @@ def prove(k, p, first, last, count, at, mode, finest):
 
 @inner_njit
 def deviation_margins(k, room):
-    """Compute how far [m] each body can deviate from a motion to certify, given the largest deviation of each
-    joint.
+    """Compute in the kernel how far [m] each body can deviate from a motion to prove, given the largest
+    deviation of each joint.
 
     The deviations are room (dof,).
     """
@@ -258,8 +258,8 @@ def proven_clearance(handle, points, most, tolerance):
 
 @njit(cache=True, nogil=True)
 def first_below_clearance(handle, points, room, distance):
-    """Return the first position along a motion (k, dof) at which the clearance proof for two bodies of the
-    robot fails.
+    """Return the first position along a motion (k, dof) at which the kernel cannot prove the clearance of two
+    bodies of the robot.
 
     Args:
         room: (dof,) largest deviation of each joint from the edges [rad or m].

@@ -25,7 +25,8 @@ BEYOND = 0.02  # [rad, m] extension of the joint ranges beyond the limits
 
 
 class Frames(NamedTuple):
-    """Moving frames of a robot (f), as one argument of the kernels that find near groups.
+    """Moving frames (f) of a robot, as one argument of the compiled search for sphere groups that can come
+    near each other.
 
     Attributes:
         fixed: (f, 12) pose of each frame in its parent frame at joint value 0, rows of a 3x4 matrix.
@@ -42,7 +43,8 @@ class Frames(NamedTuple):
 
 
 class SphereGroups(NamedTuple):
-    """Sphere groups (g) of a robot body, as one argument of the kernel that finds near groups.
+    """Sphere groups (g) of one robot body, as one argument of the compiled search for groups that can come
+    near each other.
 
     Attributes:
         branch: indices of the frames from below the common frame of both bodies down to the body's frame.
@@ -61,8 +63,8 @@ class SphereGroups(NamedTuple):
 
 @njit(cache=True)
 def _place(branch, frames, q, out):
-    """Compute the pose (3, 4) of the last frame of a kinematic branch relative to the frame at which the
-    branch starts. The pose helps to find sphere groups that never collide.
+    """Compute the pose (3, 4) of the last frame of a kinematic branch relative to its first frame, to find
+    sphere groups that can come near each other.
     """
     for i in range(3):
         for j in range(4):

@@ -22,7 +22,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 Flat = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float64]]
-HEADER = 53
+HEADER = 56
 _INTS = (
     "parent",
     "kind",
@@ -36,6 +36,7 @@ _INTS = (
     "near_groups",
     "meet",
     "meet_groups",
+    "gap_table",
     "shape_kind",
     "shape_object",
     "shape_planes",
@@ -66,6 +67,8 @@ _FLOATS = (
     "cloud_boxes",
     "cloud_parts",
     "pair_margin",
+    "gap_grid",
+    "gaps",
 )
 _DOUBLES = (
     "piece_size",
@@ -109,6 +112,9 @@ class Pack(NamedTuple):
     near_groups: I32  # (n,) groups of the first body that can meet the second body
     meet: I32  # (n + 1,) first entry of each near group in meet_groups
     meet_groups: I32  # groups of the second body that can meet the near group
+    gap_table: I32  # (p, 5) first entry in gaps or -1, columns of the two joints, cells of each joint
+    gap_grid: F32  # (p, 6) lower limit, cells per unit and period in cells of each of the two joints
+    gaps: F32  # [m] lower bounds of the gaps in all cells of all tables
     # world shapes
     shape_kind: I32  # (o,)
     shape_pose: F32  # (o, 12) rows of T_shape_world (world to shape)
@@ -160,8 +166,8 @@ def pack(scene: PlanningScene, robot: RobotPart, world: World) -> tuple[Pack, Na
 
 
 def _ignored(scene: PlanningScene, bodies: tuple[str, ...], objects: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Return a mask (bodies, objects) of the pairs for which the scene allows contact,
-    so that the kernel ignores them.
+    """Return a mask (bodies, objects) of the pairs for which the scene allows contact. The pack passes it to
+    the kernel, which ignores these pairs.
 
     Contact is ignored only for pairs that the scene names.
     """
@@ -194,6 +200,7 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     NEAR_GROUPS,
     MEET,
     MEET_GROUPS,
+    GAP_TABLE,
     SHAPE_KIND,
     SHAPE_OBJECT,
     SHAPE_PLANES,
@@ -204,7 +211,7 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     SHAPE_CLOUD,
     CLOUD,
     CLOUD_CHILD,
-) = range(7, 29)
+) = range(7, 30)
 # indices in I of the start of each float table in F
 (
     FIXED,
@@ -225,7 +232,9 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     CLOUD_BOXES,
     CLOUD_PARTS,
     PAIR_MARGIN,
-) = range(29, 47)
+    GAP_GRID,
+    GAPS,
+) = range(30, 50)
 # indices in I of the start of each double table in D
 (
     PIECE_SIZE,
@@ -234,7 +243,7 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     POINTS,
     REACH,
     PAIR_REACH,
-) = range(47, 53)
+) = range(50, 56)
 
 
 def flatten(p: Pack) -> Flat:

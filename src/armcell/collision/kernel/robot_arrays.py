@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.kernel import near_groups
+from armcell._array_store import key_of, recall_or_compute
+from armcell.collision.exact_checker import ExactChecker
+from armcell.collision.kernel import gap_tables, near_groups
 from armcell.collision.kernel.bodies import (
     FINE_OVERSHOOT,
     LINK_OVERSHOOT,
@@ -33,6 +35,7 @@ from armcell.scene import PlanningScene
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
+Branches = tuple[list[int], list[int]]
 
 REVOLUTE_KIND = 1  # as in frames
 
@@ -70,7 +73,7 @@ _held: LruCache[Body] = LruCache(512)
 _placed: LruCache[PlacedBody] = LruCache(512)
 _pieces_joined: LruCache[ConvexPieces] = LruCache(32)
 _pairs_found: LruCache[I32] = LruCache(256)
-_near_found: LruCache[tuple[I32, dict[str, I32]]] = LruCache(64)
+_near_found: LruCache[tuple[I32, dict[str, Any]]] = LruCache(64)
 _meetings: LruCache[_Meeting] = LruCache(4096)
 _reaches: LruCache[F64] = LruCache(1024)
 _moving: LruCache[NDArray[np.bool_]] = LruCache(32)
@@ -226,8 +229,9 @@ class _Builder:
 
     def _near_pairs(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any]
-    ) -> tuple[I32, dict[str, I32]]:
-        """Return the pairs of robot bodies that can touch, and the kernel's tables of their sphere groups.
+    ) -> tuple[I32, dict[str, Any]]:
+        """Return, for the robot's kernel arrays, the pairs of bodies that can touch, and tables of their
+        sphere groups and gaps.
 
         The result is cached for all poses of bodies that are not placed for good.
         """
@@ -240,30 +244,34 @@ class _Builder:
             tuple(b if good else None for b, good in zip(self.placed, self.placed_for_good, strict=True)),
         )
 
-        def look() -> tuple[I32, dict[str, I32]]:
+        def look() -> tuple[I32, dict[str, Any]]:
             meeting = [self._near(bodies, arrays, int(i), int(j)) for i, j in pairs]
             # Leave out pairs that cannot meet, and groups of the first body that meet no group of the second.
             some = [p for p, groups in enumerate(meeting) if len(groups.first)]
-            return pairs[some], _near_tables(arrays["body_groups"], pairs[some], [meeting[p] for p in some])
+            near = _near_tables(arrays["body_groups"], pairs[some], [meeting[p] for p in some])
+            gaps = [self._gap_table(bodies, arrays, int(i), int(j)) for i, j in pairs[some]]
+            return pairs[some], near | _joined_gap_tables(gaps)
 
         return _near_found.get(key, look)
 
     def _near(self, bodies: list[tuple[str, int]], arrays: dict[str, Any], i: int, j: int) -> _Meeting:
-        """Return the sphere groups of two robot bodies in the kernel that can touch each other."""
+        """Return, for the robot's kernel arrays, the sphere groups of two bodies that can touch each
+        other.
+        """
         f, e = bodies[i][1], bodies[j][1]
         if not (self.placed_for_good[i] and self.placed_for_good[j]):
             return _all_meet(len(self.owns[i].groups), len(self.owns[j].groups))
 
         def look() -> _Meeting:
-            branches = self._branches(f, e)
-            columns = sorted({self.column[frame] for branch in branches for frame in branch})
+            branches, columns = self._between(f, e)
             if len(columns) > near_groups.MAX_JOINTS:
                 return _all_meet(len(self.owns[i].groups), len(self.owns[j].groups))
-            return _Meeting.of(self._meeting(*branches, columns, arrays, i, j))
+            found = near_groups.cached_near_groups(*self._relative_motion(branches, columns, arrays, i, j))
+            return _Meeting.of(found)
 
         return _meetings.get((self.chain, f, e, self.placed[i], self.placed[j]), look)
 
-    def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
+    def _branches(self, f: int, e: int) -> Branches:
         """Return the kernel's frames from the last common ancestor of two
         robot bodies down to each of the two bodies.
 
@@ -275,17 +283,27 @@ class _Builder:
             common += 1
         return a[common:], b[common:]
 
-    def _meeting(self, branch_i, branch_j, columns, arrays, i, j) -> NDArray[np.bool_]:
-        lower, upper = [], []
-        for c in columns:
-            joint = self.model.joints[self.joint_names[c]]
-            low, high = joint.limits.lower, joint.limits.upper
-            turns = not np.isfinite(high - low) or (high - low > 2 * np.pi and joint.type != "prismatic")
-            lower.append(-np.pi if turns else low)
-            upper.append(np.pi if turns else high)
+    def _between(self, f: int, e: int) -> tuple[Branches, list[int]]:
+        """Return the kernel's frames between two robot bodies, as `_branches`, and the joint columns that
+        move these frames.
+        """
+        branches = self._branches(f, e)
+        return branches, sorted({self.column[frame] for branch in branches for frame in branch})
+
+    def _relative_motion(
+        self,
+        branches: tuple[list[int], list[int]],
+        columns: list[int],
+        arrays: dict[str, Any],
+        i: int,
+        j: int,
+    ) -> tuple[near_groups.SphereGroups, near_groups.SphereGroups, near_groups.Frames, F64, F64]:
+        """Return the sphere groups of two robot bodies, the frames, and the ranges of the joint variables
+        that move the bodies relative to each other: the arguments of `near_groups.cached_near_groups`.
+        """
         place = {c: k for k, c in enumerate(columns)}
         bodies = []
-        for k, branch in ((i, branch_i), (j, branch_j)):
+        for k, branch in zip((i, j), branches, strict=True):
             first, end = arrays["body_groups"][k : k + 2]
             ends = arrays["group_spheres"][first : end + 1]
             groups = arrays["group_sphere"][first:end].astype(float)
@@ -298,10 +316,59 @@ class _Builder:
             np.array(self.fixed), np.array(self.kind), np.array(self.multiplier), np.array(self.offset),
             np.array([place.get(c, 0) for c in self.column]),
         )  # fmt: skip
-        beyond = near_groups.BEYOND
-        return near_groups.cached_near_groups(
-            bodies[0], bodies[1], frames, np.array(lower) - beyond, np.array(upper) + beyond
+        lower, upper, _ = self._ranges(columns)
+        return bodies[0], bodies[1], frames, lower - near_groups.BEYOND, upper + near_groups.BEYOND
+
+    def _ranges(self, columns: list[int]) -> tuple[F64, F64, NDArray[np.bool_]]:
+        """Return the lower and upper limits (k,) [rad or m] of joint variables, and whether they turn: the
+        values of such a joint repeat after one turn, so its limits are -pi and pi.
+        """
+        lower, upper, turns = np.zeros(len(columns)), np.zeros(len(columns)), np.zeros(len(columns), bool)
+        for k, c in enumerate(columns):
+            joint = self.model.joints[self.joint_names[c]]
+            low, high = joint.limits.lower, joint.limits.upper
+            turns[k] = not np.isfinite(high - low) or (high - low > 2 * np.pi and joint.type != "prismatic")
+            lower[k], upper[k] = (-np.pi, np.pi) if turns[k] else (low, high)
+        return lower, upper, turns
+
+    def _gap_table(
+        self, bodies: list[tuple[str, int]], arrays: dict[str, Any], i: int, j: int
+    ) -> _PairGaps | None:
+        """Return the gap table of two robot bodies, or None if more than two joints move them relative to
+        each other, or if their sphere covers decide about them. The tables are cached on disk.
+        """
+        branches, columns = self._between(bodies[i][1], bodies[j][1])
+        if not (self.placed_for_good[i] and self.placed_for_good[j]) or len(columns) not in (1, 2):
+            return None
+        motion = self._relative_motion(branches, columns, arrays, i, j)
+        two = 2 - len(columns)  # a missing second joint has no range
+        lower, upper, turns = self._ranges(columns)
+        reach = sum(
+            self._axis_reach(branch, columns, body.spheres)
+            for branch, body in zip(branches, motion[:2], strict=True)
         )
+        ranges = gap_tables.JointRanges(*(np.pad(a, (0, two)) for a in (lower, upper, turns, reach)))
+        fine = _fine_links(self.model)
+        undecided = sum(FINE_OVERSHOOT if bodies[b][0] in fine else LINK_OVERSHOOT for b in (i, j))
+        key = key_of(repr((gap_tables.VERSION, undecided)), *motion[0], *motion[1], *motion[2], *ranges)
+
+        def computed() -> dict[str, NDArray]:
+            robot = replace(self.scene, objects={}, attached={})
+            exact = ExactChecker(robot, self.joint_names)
+            shapes = [[k for k, g in enumerate(exact.geometries) if g.body == bodies[b][0]] for b in (i, j)]
+            q = self.scene.positions[self.model.columns(self.joint_names)].copy()
+
+            def distance(values: F64) -> float:
+                q[columns] = values[: len(columns)]
+                exact.set_configuration(q)
+                return min(exact.pair_distance(a, b) for a in shapes[0] for b in shapes[1])
+
+            return {"gaps": gap_tables.gap_table(distance, ranges, undecided)}
+
+        gaps = np.asarray(recall_or_compute("gap tables", key, computed)["gaps"], np.float32)
+        if not gaps.size:
+            return None
+        return _PairGaps(gaps, (columns[0], columns[-1]), gap_tables.grid(ranges, gaps.shape))
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
         """Return upper bounds (groups, columns) on how far [m] each sphere group of a robot body moves per
@@ -324,6 +391,29 @@ class _Builder:
                 reach[:, c] += m
                 radius = radius + m * self._span(frame) + abs(self.offset[frame])
             radius = radius + self.chain.arm[frame]
+        return reach
+
+    def _axis_reach(self, branch: list[int], columns: list[int], spheres: F64) -> F64:
+        """Return upper bounds (columns,) on how far a body moves per unit of each joint variable: the largest
+        distance of the body from each joint's axis. For one or two revolute joints, the bounds are tighter
+        than those of `_group_reach`.
+
+        Args:
+            branch: frames from the common frame down to the body's frame.
+            columns: joint columns of the result.
+            spheres: (s, 4) spheres that cover the body, in its frame.
+        """
+        if len(branch) > 2 or any(self.kind[frame] != REVOLUTE_KIND for frame in branch):
+            return self._group_reach(branch, columns, spheres).max(axis=0)
+        reach = np.zeros(len(columns))
+        around = np.linalg.norm(spheres[:, :2], axis=1) + spheres[:, 3]  # of the last joint's axis, z
+        for frame in reversed(branch):
+            reach[columns.index(self.column[frame])] += abs(self.multiplier[frame]) * around.max()
+            T_parent = np.reshape(self.fixed[frame], (3, 4))
+            on_axis = (
+                T_parent[:, 3] + spheres[:, 2:3] * T_parent[:, 2]
+            )  # of each sphere, in the parent's frame
+            around = np.linalg.norm(on_axis[:, :2], axis=1) + around
         return reach
 
     # --- motion bounds ---
@@ -372,8 +462,8 @@ class _Builder:
         return np.where(moves, reach[i] + reach[j], 0.0)
 
     def _moves(self, frames: list[int], i: I32, j: I32) -> NDArray[np.bool_]:
-        """Return a mask (pairs, dof) of the joints that move the two
-        robot bodies of a pair relative to each other.
+        """Return a mask (pairs, dof) for the robot's kernel arrays: which joints move the two bodies of a
+        pair relative to each other.
         """
         above = np.zeros((len(frames), len(self.parent)), bool)
         for k, frame in enumerate(frames):
@@ -399,8 +489,8 @@ def _turned_to_z(x: float, y: float, z: float) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class _Meeting:
-    """Index lists that state which sphere groups of one robot body can touch which sphere groups of another
-    robot body.
+    """Arrays of index lists that state which sphere groups of one robot body can touch which sphere groups of
+    another.
 
     Attributes:
         first: (n,) groups of the first body that can touch a group of the second body.
@@ -414,12 +504,40 @@ class _Meeting:
 
     @staticmethod
     def of(meets: NDArray[np.bool_]) -> _Meeting:
-        """Convert a mask (g, h) to index lists. Mask entry [i, j] is True if sphere group i of one robot body
-        can touch sphere group j of another.
+        """Convert a mask (g, h) to index lists for the robot's kernel arrays. Entry [i, j] is True if sphere
+        group i of one robot body can touch group j of another.
         """
         counts = meets.sum(axis=1)
         first = counts.nonzero()[0]
         return _Meeting(*(a.astype(np.int32) for a in (first, counts[first], meets.nonzero()[1])))
+
+
+def _fine_links(model: RobotModel) -> set[str]:
+    """Return the links that need a fine sphere cover."""
+    return {f for g in model.grippers.values() for f in g.contact_links} | narrow_gaps(model)
+
+
+@dataclass(frozen=True, eq=False)
+class _PairGaps:
+    """Gap table (n1, n2) of a pair of robot bodies, the columns of the joints that move it, and the numbers
+    of `gap_tables.grid` (6,).
+    """
+
+    gaps: F32
+    columns: tuple[int, int]
+    grid: F32
+
+
+def _joined_gap_tables(tables: list[_PairGaps | None]) -> dict[str, Any]:
+    """Return the kernel's arrays of gap tables, of one table or none for each pair."""
+    index, grids = np.full((len(tables), 5), -1, np.int32), np.zeros((len(tables), 6), np.float32)
+    parts, first = [np.zeros(0, np.float32)], 0
+    for row, table in enumerate(tables):
+        if table is not None:
+            index[row], grids[row] = (first, *table.columns, *table.gaps.shape), table.grid
+            parts.append(table.gaps.ravel())
+            first += table.gaps.size
+    return {"gap_table": index, "gap_grid": grids, "gaps": np.concatenate(parts)}
 
 
 @lru_cache(maxsize=1024)
@@ -449,7 +567,7 @@ def fit_links(model: RobotModel) -> Iterator[float]:
 
 def _overshoots(model: RobotModel) -> list[tuple[Link, float]]:
     """Return the links with collision shapes, and how far [m] the spheres of each may extend beyond it."""
-    fine = {f for g in model.grippers.values() for f in g.contact_links} | narrow_gaps(model)
+    fine = _fine_links(model)
     return [
         (link, FINE_OVERSHOOT if link.name in fine else LINK_OVERSHOOT)
         for link in model.links.values()
@@ -458,7 +576,9 @@ def _overshoots(model: RobotModel) -> list[tuple[Link, float]]:
 
 
 def _near_tables(body_groups: I32, pairs: I32, meeting: list[_Meeting]) -> dict[str, I32]:
-    """Return the kernel's tables of those sphere groups of the robot that can touch each other."""
+    """Return the part of the robot's kernel arrays that states which of its sphere groups can touch each
+    other.
+    """
     lengths = [len(m.first) for m in meeting]
     more = [len(m.second) for m in meeting]
     i, j = body_groups[pairs.T] if len(pairs) else (body_groups[:0],) * 2

@@ -62,8 +62,8 @@ class ObjectTables(NamedTuple):
 
 
 class _Solid(NamedTuple):
-    """Convex shape of a world object in the kernel.
-    A point cloud or nonconvex mesh is represented by its bounding box.
+    """Convex shape of a world object, from which the kernel's world arrays are built. A point cloud or
+    nonconvex mesh is represented by its bounding box.
     """
 
     owner: int
@@ -73,7 +73,7 @@ class _Solid(NamedTuple):
 
 
 def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
-    """Return the kernel's tables for world objects."""
+    """Build the rows that world objects occupy in the tables of the kernel's world arrays."""
     solids = [s for owner, item in enumerate(items) for s in _solids(owner, item)]
     owner = np.array([s.owner for s in solids], np.int64)
     T = np.array([s.T for s in solids]).reshape(-1, 4, 4)

@@ -72,7 +72,7 @@ from armcell.collision.kernel.simd import (
 
 @inner_njit
 def shape_gap(I, F, o, w, at):
-    """Return the distances from points to a world shape in the kernel.
+    """Return the distances from points of a body to a world shape, for world collision tests in the kernel.
     The distances are lower bounds for cones and meshes.
 
     The points are at w[at:], one per lane; o is the index of the shape.
@@ -112,8 +112,8 @@ def shape_gap(I, F, o, w, at):
 
 @inner_njit
 def shape_rate(I, F, o, w, at, velocity):
-    """Return an upper bound on how fast the distance between moving
-    points and a world shape changes, for collision checks.
+    """Return an upper bound on how fast the distance between moving points and a world shape changes, to
+    check a motion for collisions with the world.
 
     The distance is that of `shape_gap`; the velocities are at w[velocity:]. These gaps are convex functions
     of the point, so along a straight motion a gap is never below its tangent: only the velocity component
@@ -159,7 +159,7 @@ def shape_rate(I, F, o, w, at, velocity):
 
 @inner_njit(forceinline=True)
 def _near(I, F, w, state, o, i, at, radius, more, mode):
-    """Return a bit mask of the SIMD lanes in which a ball around a body may overlap a world shape.
+    """Return a bit mask of the SIMD lanes in which a ball around a robot body may collide with a world shape.
 
     The ball is around center i, the shape is o. Also returns the gap and the gap that is required. In a
     proof, the ball is clear if its gap, shrinking at its rate, lasts for half the interval. A ball does not
@@ -179,8 +179,8 @@ def _near(I, F, w, state, o, i, at, radius, more, mode):
 
 @inner_njit
 def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """Test a robot body in the kernel against a world shape that is
-    stored as a cloud of spheres, cubes or triangles.
+    """Test a robot body for collisions with a world shape that the kernel stores as a cloud of spheres, cubes
+    or triangles.
 
     The shape is the bounding box of the cloud.
     """
@@ -201,8 +201,8 @@ def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """Test a robot body in the kernel against one world shape, one group of spheres at a time.
-    Return True if no further test is needed.
+    """Test a robot body for collisions with one world shape, one group of spheres at a time. Return True if
+    no further test is needed.
     """
     if I[I[SHAPE_CLOUD] + o] >= 0:
         return _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
@@ -244,8 +244,8 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Test all robot bodies in the kernel against the world in 16 SIMD lanes.
-    Return True if no further test is needed.
+    """Test all robot bodies for collisions with the world in a block of 16 configurations. Return True if no
+    further test is needed.
 
     See `_check_arrays`.
     """

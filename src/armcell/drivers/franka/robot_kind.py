@@ -124,7 +124,9 @@ _DH = (  # a [m], d [m], alpha [rad] of the joints and the flange: Franka's docu
 
 
 def _flange(q: Array) -> Array:
-    """Return the nominal flange position (3,) [m, base] of a Franka arm at joint positions (7,) [rad]."""
+    """Return the nominal flange position (3,) [m, base] at joint positions (7,) [rad] for arms of the robot
+    kind `franka`.
+    """
     T = np.eye(4)
     for (a, d, alpha), theta in zip(_DH, (*q, 0.0), strict=True):
         ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)

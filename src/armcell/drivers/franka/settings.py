@@ -38,8 +38,8 @@ def _rows(*values: float) -> Array:
 
 @dataclass(frozen=True)
 class FrankaLimits:
-    """Motion limits of a Franka arm.
-    Joint arrays have shape (7,), and Cartesian limits are (translation, rotation).
+    """Motion limits in the settings of a Franka arm. Joint arrays have shape (7,), and Cartesian limits are
+    (translation, rotation).
 
     Attributes:
         velocity_offset, deceleration: parameters of the FR3's velocity limits near a position limit:
@@ -66,8 +66,8 @@ class FrankaLimits:
     velocity_upper: Array = field(default_factory=lambda: np.zeros(0))  # [rad]
 
     def velocity_range(self, q: ArrayLike) -> tuple[Array, Array]:
-        """Return the lowest and highest joint velocities (7,) [rad/s] that
-        a Franka arm allows at positions q (7,) [rad].
+        """Return the lowest and highest joint velocities (7,) [rad/s] that the motion limits in a Franka
+        arm's settings allow at positions q (7,) [rad].
         """
         if not len(self.deceleration):
             return -self.velocity, self.velocity
@@ -118,7 +118,7 @@ LIMITS = {each.model: each for each in (FR3, PANDA)}
 
 
 def limits_of(model: str) -> FrankaLimits:
-    """Return the motion limits of a Franka arm, given the name of its model.
+    """Return the motion limits in the settings of a Franka arm, given the name of its model.
 
     Raises:
         UnknownNameError: the model is not an arm of Franka's that armcell knows.

@@ -66,8 +66,8 @@ class WorkerConnection:
         self._socket: socket.socket | None = None
 
     def start(self) -> None:
-        """Start the worker process of a Franka arm, which connects to the robot, and wait for the first robot
-        state.
+        """Start the worker process of a Franka arm and connect to it, then wait for the first robot state
+        that the worker sends.
 
         Raises:
             InputError: the connection failed.
@@ -95,8 +95,8 @@ class WorkerConnection:
             )
 
     def close(self) -> None:
-        """Close the link to the worker process of a Franka arm, and end the process. If the arm is moving, it
-        stops.
+        """Close the connection to the worker process of a Franka arm, and end the process. If the arm is
+        moving, it stops.
         """
         process, self._process = self._process, None
         if process is None or self._socket is None:
@@ -113,8 +113,10 @@ class WorkerConnection:
         self.error = self.error or "closed"
 
     def close_hung(self) -> None:
-        """Close the link to a hung worker of a Franka arm, which no longer sends robot states, so that
-        `start` can replace the worker. A worker can hang when its library receives a damaged message.
+        """Close the connection to a hung worker of a Franka arm, which no longer sends robot states, so that
+        `start` can replace the worker.
+
+        A worker can hang when its library receives a damaged message.
         """
         if self.state_age > SILENCE:
             self.close()
@@ -198,8 +200,8 @@ class WorkerConnection:
         self._order(do="pace", pace=pace)
 
     def play(self, rows: Array) -> int:
-        """Send joint positions (n, 7) [rad], one per millisecond, to the worker process of a Franka arm.
-        The worker executes them as one motion. Return the number of the motion.
+        """Send joint positions (n, 7) [rad], one per millisecond, over the connection to the worker of a
+        Franka arm, which executes them as one motion. Return the number of the motion.
         """
         self._number += 1
         with self._news:
@@ -226,5 +228,7 @@ class WorkerConnection:
 
     @property
     def state_age(self) -> float:
-        """Return the age [s] of the latest state that the Franka robot has sent over the worker link."""
+        """Return the age [s] of the latest robot state that arrived over the connection to the Franka
+        worker.
+        """
         return time.monotonic() - self.history[-1][0] if self.history else float("inf")

@@ -24,10 +24,8 @@ def pack_json(kind: int, value: dict[str, Any]) -> bytes:
 
 
 def take_message(received: bytearray) -> tuple[int, bytes] | None:
-    """Remove the first complete message from a buffer of received bytes. Return the kind and content of the
-    message, or None if the buffer contains no complete message.
-
-    A Franka driver and its worker process exchange these messages.
+    """Remove the first complete message between the Franka driver and its worker from a buffer. Return the
+    kind and content of the message, or None if no message is complete.
     """
     if len(received) < _HEAD.size:
         return None
@@ -40,8 +38,8 @@ def take_message(received: bytearray) -> tuple[int, bytes] | None:
 
 
 def read_into(sock: socket.socket, received: bytearray) -> bool:
-    """Append the data that a Franka worker has sent through a socket to a buffer of frames.
-    Return False if the socket is closed.
+    """Append the bytes that arrive at a socket between the Franka driver and its worker to a buffer of
+    messages. Return False if the socket is closed.
     """
     try:
         data = sock.recv(1 << 18)

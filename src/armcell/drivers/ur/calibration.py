@@ -117,7 +117,7 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
 
 def _fitting(own: SE3, wanted: Array, nominal: SE3, slide: float) -> tuple[float, float]:
     """Compute the rotation of a UR link and the offset of the next joint along its axis that keep this joint
-    close to its nominal position in the calibrated model.
+    close to its nominal position in the calibrated robot model.
 
     Args:
         own: K_i of the robot.

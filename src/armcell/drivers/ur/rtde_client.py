@@ -33,7 +33,9 @@ LOST = 0.05  # [s] increase beyond which the offset jumps
 
 @dataclass(frozen=True)
 class RobotState:
-    """State of a UR robot from one RTDE packet: the values by RTDE variable name, and the arrival time."""
+    """State of a UR robot that the RTDE client received in one packet: the values by RTDE variable name, and
+    the arrival time.
+    """
 
     values: dict[str, Any]
     received: float  # [s]
@@ -46,8 +48,8 @@ class RobotState:
 
 
 class RobotClock:
-    """Estimate of the offset between the clock of a UR robot (from
-    RTDE) and the monotonic clock of this computer.
+    """Clock estimate of the RTDE client: the offset between the clock of a UR robot and the monotonic clock
+    of this computer.
 
     Packets arrive late by the delay of the network and both computers, never early. The smallest difference
     between arrival time and time stamp in the last second is therefore the best estimate, and the clocks of
@@ -60,8 +62,8 @@ class RobotClock:
         self._last = 0.0
 
     def update(self, stamp: float, received: float) -> None:
-        """Update the clock offset of a UR robot with the time stamp
-        and the arrival time [s] of an RTDE packet.
+        """Update the clock offset of a UR robot with the time stamp and arrival time [s] of a packet that the
+        RTDE client received.
         """
         first = not self._seen
         self._seen.append(received - stamp)

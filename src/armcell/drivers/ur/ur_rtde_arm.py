@@ -51,8 +51,8 @@ class UrRtdeConnection:
         return self._socket is not None
 
     def start(self) -> int:
-        """Start a subprocess with the library `ur_rtde`, which uploads its own control script to the UR
-        robot. Return the session number.
+        """Connect a UR arm through the library `ur_rtde`: start the subprocess that uploads the library's
+        control script to the robot. Return the session number.
 
         Raises:
             InputError: ur_rtde cannot take control of the robot.
@@ -88,7 +88,9 @@ class UrRtdeConnection:
         return self._session
 
     def _drain(self, words: Iterable[str] | None) -> None:
-        """Discard what the `ur_rtde` subprocess prints as errors, so that a full pipe cannot block it."""
+        """Discard the errors that the `ur_rtde` subprocess of a UR arm prints, so that a full pipe cannot
+        block it.
+        """
         for _ in words or ():
             pass
 
@@ -126,8 +128,8 @@ class UrRtdeConnection:
             self._forget()
 
     def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None:
-        """Send a command to the `ur_rtde` subprocess.
-        Commands that set outputs are sent over RTDE instead.
+        """Send a command for a UR arm to its `ur_rtde` subprocess. Commands that set outputs are sent over
+        RTDE instead.
         """
         plain = [float(v) for v in values]
         match kind:
@@ -143,8 +145,8 @@ class UrRtdeConnection:
                 self._order("end")
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Send a setpoint to the `ur_rtde` subprocess.
-        The robot should pass it at the given monotonic time [s].
+        """Send a setpoint for a UR arm to its `ur_rtde` subprocess. The arm should pass it at the given
+        monotonic time [s].
 
         All processes on this computer share the monotonic clock.
         """
@@ -152,7 +154,9 @@ class UrRtdeConnection:
         self._order("point", at=at, **point)
 
     def forward(self, trajectory: JointTrajectory, step: float) -> int:
-        """Start a trajectory in the `ur_rtde` subprocess, and return its number."""
+        """Start a trajectory of a UR arm in its `ur_rtde` subprocess, and return the number of the
+        trajectory.
+        """
         times = np.arange(0.0, trajectory.duration + step, step)
         first = float(trajectory.times[0])
         rows = [trajectory.sample(first + min(t, trajectory.duration))[0].tolist() for t in times]

@@ -28,7 +28,9 @@ MAX_CUTOFF = 1000.0  # [Hz]; disables a filter
 
 
 class StateWriter:
-    """Writer for the state of an emulated Franka robot. It reuses one message buffer in every cycle."""
+    """Writer of the state messages that the command server of an emulated Franka robot sends. It reuses one
+    message buffer in every cycle.
+    """
 
     def __init__(self, robot: Robot, version: int = 10):
         self._robot, self._message = robot, StateMessage(version)
@@ -41,8 +43,8 @@ class StateWriter:
         self._moving = m.numbers[FIELDS["elbow"].start : FIELDS["dtheta"].stop]
 
     def write(self) -> bytes:
-        """Copy the state of the emulated Franka arm into the state message, and return the bytes of the
-        message for the current 1 ms cycle.
+        """Write the state of the emulated Franka arm to the message of its command server, and return the
+        bytes for the current 1 ms cycle.
         """
         r, m = self._robot, self._message
         reference, motion = r.reference, r.motion
@@ -95,8 +97,8 @@ class CommandServer:
         return self._client is not None and self._client.open
 
     def set_active(self, active: bool) -> None:
-        """Activate or deactivate the command interface (FCI) of the emulated Franka arm,
-        as an operator does in Desk.
+        """Activate or deactivate the command server (FCI) of the emulated Franka arm, as an operator does in
+        Desk.
         """
         self.active = active
         if not active and self._client is not None:
@@ -111,8 +113,8 @@ class CommandServer:
         self._client, self._state_to = link, None
 
     def commands(self) -> list[RobotCommand]:
-        """Return the valid motion commands that the emulated Franka
-        arm has received by UDP since the last call.
+        """Return the valid motion commands that the command server of the emulated Franka arm has received by
+        UDP since the last call.
         """
         found, version = [], self._protocol.version
         for data in self.udp.receive(COMMANDS[version].size + 1):

@@ -29,8 +29,8 @@ class Impedance:
     damping: Array = field(default_factory=lambda: np.full(JOINTS, 50.0))
 
     def set_stiffness(self, joint: bool, stiffness: Array) -> bool:
-        """Set the joint (7,) or Cartesian (6,) stiffness of the emulated Franka arm.
-        Return False and change nothing if Franka does not allow the values.
+        """Set the stiffness for the joint (7,) or Cartesian (6,) impedance control of the emulated Franka
+        arm. Return False and change nothing if Franka does not allow the values.
         """
         top = np.full(JOINTS, 14250.0) if joint else np.array([3000.0] * 3 + [300.0] * 3)
         low = np.zeros(JOINTS) if joint else np.array([10.0] * 3 + [1.0] * 3)
@@ -43,8 +43,8 @@ class Impedance:
         return True
 
     def fit(self, inertia: Array) -> None:
-        """Set the damping of the emulated Franka arm's joint control
-        so that it suits an inertia (7,) [kg m^2].
+        """Set the damping for the joint impedance control of the emulated Franka arm so that it suits an
+        inertia (7,) [kg m^2].
         """
         self.damping = 2.0 * DAMPING_RATIO * np.sqrt(self.joint * inertia)
 
@@ -77,8 +77,8 @@ def cartesian_impedance(
 
 
 class Brake:
-    """Braking motion in the joint control of the emulated Franka arm. It brings the arm's joint reference to
-    rest.
+    """Braking motion under impedance control of the emulated Franka arm. It brings the arm's joint reference
+    to rest.
 
     All joints stop at the same time.
     """
@@ -90,8 +90,8 @@ class Brake:
         self._left, self._duration = duration, duration
 
     def step(self) -> bool:
-        """Advance the braking of the emulated Franka arm by 1 ms,
-        and return whether the arm's reference is at rest.
+        """Advance the braking of the impedance-controlled emulated Franka arm by 1 ms, and return whether the
+        arm's reference is at rest.
         """
         r = self._reference
         self._left = max(self._left - PERIOD, 0.0)

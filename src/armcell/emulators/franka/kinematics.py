@@ -49,8 +49,8 @@ def _multiply(T, step):
 
 @njit("void(f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])", cache=True)
 def chain(steps, axes, q, tool, T, J):
-    """Compute the pose T (4, 4) of a frame fixed to the last link of an emulated Franka arm, and the Jacobian
-    J (6, 7) of its origin, linear rows first. Both are in the base frame O.
+    """Compute the kinematics of an emulated Franka arm: pose T (4, 4) of a frame fixed to the last link, and
+    Jacobian J (6, 7) of its origin, linear rows first. Both are in the base frame O.
 
     Args:
         steps, axes: poses (8, 4, 4) of the joints and the flange in their parents, joint axes (7, 3).
@@ -82,8 +82,8 @@ def chain(steps, axes, q, tool, T, J):
 
 @njit(cache=True)
 def _wrench(J, torque, felt):
-    """Solve J J^T w = J tau for the wrench on a Franka arm, and write it to `felt` (6,). The wrench is zero
-    near singularities, where det(J J^T) < 1e-8.
+    """Compute the wrench on an emulated Franka arm from joint torques with its kinematics: solve J J^T w = J
+    tau, and write w to `felt` (6,). The wrench is zero near singularities, where det(J J^T) < 1e-8.
     """
     A, determinant = np.zeros((6, 7)), 1.0
     for r in range(6):
@@ -121,7 +121,8 @@ def rotation_log(R):
 
 @njit(cache=True)
 def measure(steps, axes, q_d, q, F_T_EE, F_T_K, torque, poses, wrenches):
-    """Compute the Cartesian state of an emulated Franka arm.
+    """Compute the Cartesian state of an emulated Franka arm with its kinematics: poses and wrenches of the
+    end effector and the stiffness frame.
 
     Args:
         steps, axes: see `chain`.
@@ -170,8 +171,8 @@ class ArmKinematics:
         )
 
     def pose_and_jacobian(self, q: Array, tool: Array) -> tuple[Array, Array]:
-        """Return the pose (4, 4) of a frame fixed to the flange of a Franka arm, and the Jacobian (6, 7) of
-        its origin, linear rows first.
+        """Return the pose (4, 4) of a frame fixed to the flange, and the Jacobian (6, 7) of its origin,
+        linear rows first, from the kinematics of a Franka arm.
 
         Args:
             q: joint positions (7,) [rad].
@@ -194,8 +195,8 @@ def rotation_exp(w: Array) -> Array:
 
 
 def urdf(model: RobotModel, group: str, limits: FrankaLimits) -> str:
-    """Return the URDF of the emulated Franka arm, without the hand, as the robot's controller sends it to
-    clients.
+    """Return the URDF with the kinematics of the emulated Franka arm, without the hand, as the robot's
+    controller sends it to clients.
 
     Clients compute dynamics with it and read velocity limits from it, so every joint has
     `position_based_velocity_limits`.

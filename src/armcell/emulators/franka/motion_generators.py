@@ -341,8 +341,8 @@ class CartesianMotion:
         return angle
 
     def _resolve(self, T: Array, elbow: float | None) -> Array:
-        """Return the joint positions (7,) [rad] for a Cartesian motion of the Franka arm at which the end
-        effector has the pose T.
+        """Compute the joint positions (7,) [rad] of a Cartesian motion generator for the Franka arm, at which
+        the end effector has the pose T.
 
         The solution takes Newton steps from the current joint reference of the motion generator. If an elbow
         angle is given, joint 3 takes this angle; otherwise the joint motion has the least norm. Raises Reflex
@@ -395,7 +395,8 @@ class Motion:
 
     @property
     def by_torque(self) -> bool:
-        """Return whether the client commands this motion of the emulated Franka arm by joint torques.
+        """Return whether the client commands a motion of the emulated Franka arm by joint torques instead of
+        a motion generator.
 
         Otherwise the arm follows the reference of a motion generator.
         """

@@ -33,8 +33,8 @@ class Thresholds:
     force: dict[str, Array] = field(default_factory=lambda: _both((30, 30, 30, 25, 25, 25), 10.0))
 
     def set(self, values: Array) -> bool:
-        """Set all thresholds of a Franka robot from the numbers (52,) of SetCollisionBehavior.
-        Return False and change nothing if one is negative.
+        """Set all contact thresholds in the parameters of a Franka robot from the numbers (52,) of
+        SetCollisionBehavior. Return False and change nothing if one is negative.
         """
         if np.any(values < 0.0):
             return False
@@ -61,7 +61,9 @@ class Load:
 
     @property
     def is_valid(self) -> bool:
-        """Return whether a Franka robot accepts the load, apart from the limit of the mass."""
+        """Return whether a Franka robot accepts the parameters of a load, apart from the limit of the
+        mass.
+        """
         tensor = self.inertia.reshape(3, 3)
         if not (self.mass >= 0.0 and np.allclose(tensor, tensor.T)) or np.linalg.norm(self.center) > 0.5:
             return False
@@ -70,7 +72,8 @@ class Load:
 
 @njit(cache=True)
 def compare(torque, force, lower_torque, lower_force, upper_torque, upper_force, contacts):
-    """Compare the external torques (7,) [Nm] and forces (6,) [N, Nm] on a Franka robot with its parameters.
+    """Compare the external torques (7,) [Nm] and forces (6,) [N, Nm] on a Franka robot with the thresholds in
+    its parameters.
 
     Args:
         lower_torque, ...: thresholds for contact (lower) and collision (upper).

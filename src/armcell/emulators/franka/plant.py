@@ -67,8 +67,8 @@ class FrankaPlant:
 
     # --- measurements ---
     def read(self) -> tuple[Array, Array]:
-        """Return the measured joint positions [rad] and velocities [rad/s], each (7,), of the simulated
-        Franka arm.
+        """Return the joint positions [rad] and velocities [rad/s], each (7,), measured on the Franka
+        plant.
         """
         data = self.world.mj_state
         return data.qpos[self._qpos] + self._offset, data.qvel[self._dofs]
@@ -89,7 +89,7 @@ class FrankaPlant:
         return self._filtered
 
     def inertial_torque(self, acceleration: Array) -> Array:
-        """Compute the joint torques (7,) [Nm] that accelerate the simulated Franka arm and hand as desired
+        """Compute the joint torques (7,) [Nm] that accelerate the arm and hand of the Franka plant as desired
         (7,) [rad/s^2], from the mass matrix.
         """
         model, data = self.world.mj_model, self.world.mj_state
@@ -111,23 +111,23 @@ class FrankaPlant:
         return data.qfrc_gravcomp[dofs] - data.qfrc_passive[dofs]  # MuJoCo's passive forces have both
 
     def inertia(self) -> Array:
-        """Return the diagonal (7,) [kg m^2] of the simulated Franka arm's joint-space inertia matrix."""
+        """Return the diagonal (7,) [kg m^2] of the Franka plant's joint-space inertia matrix."""
         model, data = self.world.mj_model, self.world.mj_data
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
         return np.diag(full)[self._dofs].copy()
 
     def _weight(self) -> Array:
-        """Return the joint torques (7,) [Nm] that support the weight of a payload in the physics of the
-        emulated Franka arm. The arm's controller does not know this payload.
+        """Return the joint torques (7,) [Nm] that support the weight of a payload attached to the Franka
+        plant. The arm's controller does not know this payload.
         """
         if not self._payload:
             return np.zeros(JOINTS)
         return self._tip_torque(-self._payload * np.asarray(self.world.settings.gravity))
 
     def _tip_torque(self, force: Array) -> Array:
-        """Return the joint torques (7,) [Nm] that a force (3,) [N] at the center of mass of the simulated
-        Franka arm's last link produces.
+        """Return the joint torques (7,) [Nm] that a force (3,) [N] at the center of mass of the Franka
+        plant's last link produces.
 
         The force is in the world frame.
         """
@@ -160,8 +160,8 @@ class FrankaPlant:
         return [p for p in pairs if p[0] in self.links]
 
     def contact(self) -> str:
-        """Describe the strongest contact of the emulated Franka arm in the physics simulation, such as
-        "panda_hand on wall".
+        """Describe the strongest contact of the Franka plant in the physics world, such as "panda_hand on
+        wall".
         """
         mine = [c for c in self.world.contacts() if self.links & {c.body_a, c.body_b}]
         if not mine:
@@ -175,7 +175,7 @@ class FrankaPlant:
         self.world.set_arm_torque(self.names, torque)
 
     def set_joint_targets(self, time: float) -> None:
-        """Do nothing: the simulated Franka arm is driven by joint torques, so it has no position targets to
+        """Do nothing: the Franka plant is driven by joint torques, so it has no position targets to
         interpolate.
         """
 
@@ -192,8 +192,8 @@ class FrankaPlant:
 
     # --- faults ---
     def displace(self, q: ArrayLike) -> None:
-        """Set the joint positions (7,) [rad] of the emulated Franka arm in its physics world at once, as if a
-        person had moved the arm by hand.
+        """Set the joint positions (7,) [rad] of the Franka plant at once, as if a person had moved the arm by
+        hand.
         """
         positions = np.array(self.world.joint_state().positions)
         positions[self.world.robot.columns(self.names)] = q

@@ -210,8 +210,8 @@ class Robot:
             self._finish(MoveStatus.SUCCESS)
 
     def _control(self) -> Array:
-        """Compute the torques (7,) [Nm] that the controller of the emulated Franka robot commands. Gravity
-        and friction are compensated separately.
+        """Compute the torques (7,) [Nm] that the emulated Franka robot commands to its joints. Gravity and
+        friction are compensated separately.
         """
         if self.motion is not None and self.motion.by_torque and self._brake is None:
             return self._commanded_torque
@@ -431,8 +431,8 @@ class Robot:
     # --- parameters ---
     @property
     def can_set_parameters(self) -> SetterStatus:
-        """Return the status of a client's request to set parameters of the emulated Franka robot: not
-        possible during a motion, otherwise success.
+        """Return the status with which the emulated Franka robot answers a client that wants to change its
+        configuration: not possible during a motion, otherwise success.
         """
         return SetterStatus.NOT_POSSIBLE if self.mode is RobotMode.MOVE else SetterStatus.SUCCESS
 

@@ -193,8 +193,8 @@ def motion_functions(robot: Robot) -> Functions:
         yield
 
     def _along(make: Callable[[Setpoint], MoveJ | MoveL], goal: Any, radius: float) -> Wait:
-        """Run a built-in URScript motion of an emulated UR arm to a pose (4, 4). If the previous motion is
-        near its goal, blend the two motions.
+        """Run a built-in URScript motion function that moves an emulated UR arm to a pose (4, 4). If the
+        previous motion is near its goal, blend the two motions.
 
         Blend radii [m] are limited to half the path length, so that two blends do not overlap.
         """

@@ -99,7 +99,7 @@ def _poses() -> dict[str, Callable[..., Any]]:
 
 
 def _sum(a: Any, b: Any) -> Any:
-    """Return the sum of poses a and b, as URScript's built-in math function `pose_add` defines it.
+    """Return the sum of poses a and b, as `pose_add` among URScript's built-in data functions defines it.
 
     Translations are added, and a's rotation is multiplied by b's.
     """
@@ -110,7 +110,8 @@ def _sum(a: Any, b: Any) -> Any:
 
 
 def _difference(a: Any, b: Any) -> Any:
-    """Return the difference of poses a and b, as URScript's built-in math function `pose_sub` defines it.
+    """Return the difference of poses a and b, as `pose_sub` among URScript's built-in data functions defines
+    it.
 
     Translations are subtracted, and the rotation leads from b to a.
     """
@@ -130,8 +131,8 @@ def _from_rpy(first: Any, *more: float) -> SO3:
 
 
 def _rpy(R: Any) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw [rad] of a rotation about the fixed axes x, y and z,
-    for URScript's built-in math functions.
+    """Return roll, pitch and yaw [rad] of a rotation about the fixed axes x, y and z, for URScript's built-in
+    data functions.
     """
     pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
     if abs(math.cos(pitch)) < 1e-9:
@@ -140,8 +141,8 @@ def _rpy(R: Any) -> tuple[float, float, float]:
 
 
 def _wrench_trans(T_from_to: Any, w_from: Any) -> Vec:
-    """Implement URScript's built-in function `wrench_trans`: transform a wrench (force, torque) to the axes
-    and origin of another frame.
+    """Implement `wrench_trans`, one of URScript's built-in data functions: transform a wrench (force, torque)
+    to the axes and origin of another frame.
     """
     T = matrix_of(T_from_to)
     force, torque = np.asarray(w_from[:3]), np.asarray(w_from[3:])
@@ -161,7 +162,9 @@ def io_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
 
 
 class DigitalOutputs(list):
-    """Legacy list `digital_out[n]` for URScript I/O. Assigning an item sets the digital output."""
+    """Legacy list `digital_out[n]` among URScript's built-in data for inputs and outputs. Assigning an item
+    sets the digital output.
+    """
 
     def __init__(self, robot: Robot):
         super().__init__([False] * 18)
@@ -291,7 +294,8 @@ def _registers(r: Robot) -> dict[str, Callable[..., Any]]:
 def socket_functions(
     robot: Robot, network: Network
 ) -> tuple[dict[str, Callable[..., Wait]], dict[str, Callable[..., Any]], Callable[[], None]]:
-    """Return the URScript socket functions for one program of the emulated UR robot.
+    """Return URScript's built-in functions that exchange data over sockets, for one program of the emulated
+    UR robot.
 
     Returns:
         Functions that take time (generators), functions that return immediately, and a function that closes
@@ -319,8 +323,8 @@ def socket_functions(
         return True
 
     def _receive(name: str, count: int, timeout: float) -> Wait:
-        """Receive `count` bytes from a URScript socket, or return None after a timeout [s].
-        A timeout of 0 means no limit.
+        """Receive `count` bytes of data from a URScript socket, or return None after a timeout [s]. A timeout
+        of 0 means no limit.
         """
         end = robot.time + timeout
         while True:
@@ -380,8 +384,8 @@ def socket_functions(
         name: str = "socket_0", prefix: str = "", suffix: str = "", interpret_escape: bool = False,
         timeout: float = 2.0,
     ) -> Wait:  # fmt: skip
-        """Return text received from a URScript socket,
-        optionally only the text between a prefix and a suffix.
+        """Built-in URScript function that reads text data from a socket, optionally only the text between a
+        prefix and a suffix.
         """
         begin, stop, end = str(prefix).encode(), str(suffix).encode(), robot.time + timeout
         while True:
@@ -396,8 +400,8 @@ def socket_functions(
                 return ""
 
     def socket_read_ascii_float(number: int, name: str = "socket_0", timeout: float = 2.0) -> Wait:
-        """Receive numbers as text, such as `(1.5, 2, 3)`, from a URScript socket.
-        Return their count and their values.
+        """Built-in URScript function that reads number data from a socket as text, such as `(1.5, 2, 3)`. It
+        returns their count and their values.
         """
         text = yield from socket_read_string(name, "(", ")", False, timeout)
         try:
@@ -430,8 +434,8 @@ def socket_functions(
 
 
 def _between(received: bytearray, begin: bytes, stop: bytes) -> bytes | None:
-    """Remove the text between two marks from the buffer of a URScript socket, and return it.
-    Return None if it is incomplete.
+    """Remove the data between two marks from the buffer of a URScript socket and return it, or return None if
+    the data is incomplete.
 
     Without marks, all received data is returned.
     """

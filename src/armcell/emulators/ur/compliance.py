@@ -98,8 +98,8 @@ def force_mode(
 
 
 def _turned(frame: Array, direction: Array, axis: int) -> Array:
-    """Rotate a compliance frame by the smallest angle after which one of its axes points in a given
-    direction.
+    """Rotate the frame of a UR arm's compliance by the smallest angle after which one of its axes points in a
+    given direction.
 
     A zero direction leaves the frame unchanged.
     """

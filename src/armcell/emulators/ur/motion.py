@@ -36,7 +36,8 @@ class Setpoint:
         self.v_max = np.array(model.velocity)
 
     def resting_at(self, q: ArrayLike) -> Setpoint:
-        """Return a new setpoint of this emulated UR arm, at rest at the joint positions q (6,) [rad].
+        """Return a new setpoint for the motion of an emulated UR arm, at rest at the joint positions q (6,)
+        [rad].
 
         The TCP and the speed limits stay the same.
         """
@@ -45,8 +46,8 @@ class Setpoint:
         return other
 
     def accelerated_toward(self, v_wanted: Array, a: float, dt: float) -> tuple[Array, Array]:
-        """Compute the next joint target of an emulated UR arm that accelerates toward the desired joint
-        velocities, within its acceleration and velocity limits.
+        """Compute the next setpoint in the motion of an emulated UR arm that accelerates toward the desired
+        joint velocities, within its acceleration and velocity limits.
 
         Args:
             v_wanted: joint velocities (6,) [rad/s].

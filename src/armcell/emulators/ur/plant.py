@@ -52,8 +52,8 @@ class Plant(Protocol):
         ...
 
     def step(self, dt: float) -> None:
-        """Advance the simulation of an emulated UR arm by one control period [s]. Arms that share a physics
-        world advance the world together.
+        """Advance the plant of an emulated UR arm by one control period [s]. Arms that share a physics world
+        advance the world together.
 
         Each of n arms advances the world by 1/n of the period.
         """
@@ -82,7 +82,7 @@ class Plant(Protocol):
         ...
 
     def drive_gripper(self, opening: float, force: float) -> None:
-        """Move the gripper of a simulated UR arm to an opening with limited force.
+        """Move the gripper of the UR plant to an opening with limited force.
 
         Args:
             opening: 0..1 of the largest opening; 0 grasps.
@@ -91,13 +91,13 @@ class Plant(Protocol):
         ...
 
     def gripper(self) -> tuple[float, bool]:
-        """Return the gripper opening of the simulated UR arm as a fraction of the largest opening (0..1), and
-        whether the gripper holds an object.
+        """Return the gripper opening of the UR plant as a fraction of the largest opening (0..1), and whether
+        the gripper holds an object.
         """
         ...
 
     def object_pose(self, name: str) -> list[float]:
-        """Return the world pose of an object in the simulation of a UR arm: x, y, z [m] and rotation vector
+        """Return the world pose of an object in the world of the UR plant: x, y, z [m] and rotation vector
         [rad].
 
         Raises:
@@ -291,13 +291,13 @@ class FaultyPlant:
         self._plant.command(q, v, *more)
 
     def offset(self, joint: int, angle: float) -> None:
-        """Inject a fault into the plant (simulated arm) of the UR emulator: add a constant error [rad] to the
-        commanded position of one joint.
+        """Inject a fault into the UR plant (simulated arm): add a constant error [rad] to the commanded
+        position of one joint.
         """
         self._offset[joint] = angle
 
     def block(self, joint: int) -> None:
-        """Inject a fault into an emulated UR arm: block a joint at its present position, whatever its motor
+        """Inject a fault into the UR plant: block a joint at its present position, whatever its motor
         does.
         """
         self._blocked[joint] = float(self._plant.read()[0][joint])

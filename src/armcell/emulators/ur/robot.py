@@ -285,7 +285,7 @@ class Robot:
         return True
 
     def announce(self, notice: Notice) -> None:
-        """Write a notice to the log, and send it to all listeners of the emulated UR robot."""
+        """Log an event of the emulated UR robot, and pass the event to all listeners of the robot."""
         log.info("%s: %s", self.serial, notice)
         if not isinstance(notice, ProgramState | SafetyChange):
             self.messages.append(str(notice))
@@ -377,7 +377,9 @@ class Robot:
 
     # --- inputs and outputs ---
     def set_inputs(self, values: dict[str, Any]) -> None:
-        """Apply to the emulated UR robot the input values that a client sent over RTDE."""
+        """Apply the input values that a client has sent to the emulated UR robot: registers, outputs and
+        speed slider.
+        """
         self.inputs.update(values)
         if self._watchdog is not None and f"input_int_register_{self._watchdog[0]}" in values:
             self._fed = self.time

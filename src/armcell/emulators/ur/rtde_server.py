@@ -31,7 +31,8 @@ NEVER = 2**31  # control steps between two packets of a client that asks for nea
 
 
 def outputs_of(robot: Robot) -> dict[str, Getter]:
-    """Return, for each RTDE output variable, a function that reads its value from the emulated UR controller.
+    """Return the RTDE output variables of the server: for each variable, a function that reads its value from
+    the emulated UR controller.
 
     Variables that are not emulated read zero.
     """
@@ -99,7 +100,9 @@ def _motion(r: Robot) -> dict[str, Getter]:
 
 
 def _tcp_acceleration(r: Robot, q: Array, v: Array, a: Array) -> Array:
-    """Return the acceleration (6,) [m/s^2, rad/s^2] of the tool for an RTDE output, by finite differences."""
+    """Return the acceleration (6,) [m/s^2, rad/s^2] of the emulated UR arm's tool for an RTDE output of the
+    server, by finite differences.
+    """
     dt = r.period
     return (r.tcp_speed(q, v) - r.tcp_speed(q - v * dt, v - a * dt)) / dt
 
@@ -110,8 +113,8 @@ def _elbow_velocity(r: Robot, q: Array, v: Array) -> Array:
 
 
 def _raw_wrench(r: Robot) -> Array:
-    """Return the wrench (6,) [N, Nm] on the flange,
-    including the weight of the payload, for an RTDE output.
+    """Return the wrench (6,) [N, Nm] on the emulated UR arm's flange for an RTDE output of the server. It
+    includes the weight of the payload.
     """
     if not r.model.e_series:
         return np.zeros(6)
@@ -183,7 +186,9 @@ class RtdeServer:
 
     @property
     def clients(self) -> int:
-        """Return the number of RTDE clients that are connected to the emulated UR controller."""
+        """Return the number of clients that are connected to the RTDE server of the emulated UR
+        controller.
+        """
         return sum(link.open for link in self._clients)
 
     def _begin(self, link: TcpConnection) -> None:
@@ -233,7 +238,8 @@ class RtdeServer:
         link.send(rtde.frame(kind, answer))
 
     def _setup_outputs(self, client: _Client, payload: bytes) -> bytes:
-        """Set up the recipe of output variables that an RTDE client requests from the emulated UR controller.
+        """Set up the recipe of output variables that a client requests from the RTDE server of the emulated
+        UR controller.
 
         Protocol version 1 has neither a frequency nor a recipe ID.
         """

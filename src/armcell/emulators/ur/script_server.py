@@ -58,7 +58,7 @@ READ_ONLY_CODE = 210  # UR error code: commands over a read-only connection
 
 
 class StateEncoder:
-    """Encoder of an emulated UR robot's state messages for its clients."""
+    """Encoder of the state messages that the script server of an emulated UR robot sends to its clients."""
 
     def __init__(self, robot: Robot):
         self._robot, self._read = robot, outputs_of(robot)
@@ -77,8 +77,8 @@ class StateEncoder:
         return struct.pack(">i", 4 + 8 * self._doubles) + values[: self._doubles].tobytes()
 
     def primary(self) -> bytes:
-        """Return the state message for the primary clients of the emulated UR robot,
-        with every package that its model sends.
+        """Return the state message that the script server sends to primary clients of the emulated UR robot,
+        with every package that the robot model sends.
         """
         r = self._robot
         rows = zip(
@@ -128,7 +128,8 @@ class StateEncoder:
 
 
 def run_command(robot: Robot, text: str) -> bool:
-    """Execute a client's text command to the emulated UR robot that is not URScript, such as `stop program`.
+    """Execute a text command from a client of the script server that is not URScript, such as `stop program`,
+    on the emulated UR robot.
 
     Returns:
         False if the text is not a command.
@@ -153,8 +154,8 @@ def run_command(robot: Robot, text: str) -> bool:
 
 
 def run_script(robot: Robot, network: Network, text: str, name: str = "") -> bool:
-    """Compile a URScript program from a client, and start it on the
-    emulated UR robot in place of the running program.
+    """Compile a URScript program from a client of the script server, and start it on the emulated UR robot in
+    place of the running program.
 
     A secondary program runs beside the running program. If the text does not compile, the robot reports the
     error as a pendant does, and the running program ends as well.
@@ -246,8 +247,8 @@ class ScriptServer:
             link.send(robot_messages.error_code(self._state.now_us, READ_ONLY_CODE, 0, level, why))
 
     def _announce(self, notice: Notice) -> None:
-        """Send a message about an event of the emulated UR robot, such as a popup, to all clients of the
-        primary port.
+        """Send a message about an event of the emulated UR robot, such as a popup, to all primary clients of
+        the script server.
         """
         message = self._message(notice)
         for link, client in self._clients.items():
@@ -306,8 +307,8 @@ SILENCE = 0.3  # [s] without another byte before the text counts as complete
 
 @dataclass(frozen=True)
 class RemoteHost:
-    """Address of the program that sends scripts to External Control,
-    as entered on the installation page of the URCap.
+    """Address of the remote server from which the URCap External Control requests its script, as entered on
+    the URCap's installation page.
     """
 
     address: str
@@ -315,7 +316,8 @@ class RemoteHost:
 
     @staticmethod
     def parse(text: str) -> RemoteHost:
-        """Parse the address from which the URCap External Control gets scripts: ADDRESS or ADDRESS:PORT.
+        """Parse the address of the server from which External Control requests its script: ADDRESS or
+        ADDRESS:PORT.
 
         Raises:
             InputError: the text has neither form.
@@ -327,7 +329,9 @@ class RemoteHost:
 
 
 class ExternalControl:
-    """Emulated program `external_control.urp`, which a dashboard client loads and plays."""
+    """Emulated program `external_control.urp` of the pendant, which requests its script from a remote server.
+    A dashboard client loads and plays it.
+    """
 
     def __init__(self, robot: Robot, network: Network, remote: RemoteHost | None):
         self._robot, self._network, self._remote = robot, network, remote
@@ -336,8 +340,8 @@ class ExternalControl:
         self._size, self._since = 0, 0.0
 
     def load(self, name: str) -> bool:
-        """Load the External Control program. Return False if `name` is another program or if the remote host
-        is not set.
+        """Load the External Control program, which runs a script from a remote server. Return False if `name`
+        is another program or if the remote host is not set.
         """
         if self._remote is None or name.rsplit("/", 1)[-1] != NAME:
             return False
@@ -346,7 +350,7 @@ class ExternalControl:
         return True
 
     def play(self) -> bool:
-        """Request the program text for External Control from the remote host. Return False if that fails.
+        """Request the script for External Control from the remote server. Return False if that fails.
 
         The program starts when its text has arrived.
         """
@@ -369,13 +373,14 @@ class ExternalControl:
         return True
 
     def stop(self) -> None:
-        """Stop waiting for the program text that External Control has requested from the remote host."""
+        """Stop waiting for the script that External Control has requested from the remote server."""
         if self._link is not None:
             self._link.close()
             self._link = None
 
     def step(self) -> None:
-        """Receive the program text for External Control, and start the program once the text is complete.
+        """Receive the script for External Control from the remote server, and start the script once it is
+        complete.
 
         Call this method once per control step.
         """

@@ -58,7 +58,7 @@ def antipodal_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 def _pairs(
     start: Array, normal: Array, triangles: Array, cone: float, hand: Hand, rng: np.random.Generator
 ) -> list[Pair]:
-    """Return the contact pairs of surface points (n, 3) with their normals (n, 3)."""
+    """Return the antipodal contact pairs of surface points (n, 3) with their normals (n, 3)."""
     rays = [-normal]
     for _ in range(2):  # two more rays per point within the cone
         aside = np.cross(normal, rng.normal(size=normal.shape))
@@ -113,8 +113,8 @@ def _places(pairs: list[Pair]) -> Array:
 
 
 def _apart(at: Array, place: Array) -> Array:
-    """Return the squared distances (n,) between contact pairs (n, 6) and one given contact pair (6,). The
-    order of the two contacts in a pair does not matter.
+    """Return the squared distances (n,) between the contact pairs (n, 6) of antipodal grasps and one given
+    contact pair (6,). The order of the two contacts in a pair does not matter.
     """
     swapped = place * np.array([1, 1, 1, -1, -1, -1])
     return np.minimum(((at - place) ** 2).sum(1), ((at - swapped) ** 2).sum(1))

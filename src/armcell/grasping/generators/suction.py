@@ -27,7 +27,7 @@ SAME = 0.002  # [m] points and projections closer than this count as one
 
 @generators.register("suction")
 def suction_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
-    """Propose suction grasps at points of a surface and at the projections of the center of mass.
+    """Generate suction grasps at points of a surface and at the projections of the center of mass.
 
     The result is deterministic.
     """
@@ -59,8 +59,8 @@ def suction_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Arra
 
 
 def _far_apart(points: Array, count: int) -> list[int]:
-    """Select surface points for suction grasps that are far from each other, by farthest point sampling.
-    Return their indices.
+    """Select surface points at which to generate suction grasps: points that are far from each other, by
+    farthest point sampling. Return their indices.
     """
     chosen = [0]
     far = np.full(len(points), np.inf)
@@ -71,7 +71,9 @@ def _far_apart(points: Array, count: int) -> list[int]:
 
 
 def _side(normal: Array, up: Array) -> str:
-    """Describe the side of an object from which a suction gripper grasps: "top", "side" or "bottom"."""
+    """Describe the side of an object from which a generated suction grasp approaches: "top", "side", "slope"
+    or "bottom".
+    """
     height = float(normal @ up)
     return (
         "top" if height > 0.95 else "bottom" if height < -0.95 else "side" if abs(height) < 0.1 else "slope"

@@ -41,8 +41,8 @@ BRANCHES = 8
 
 
 def ur_geometry(chain: Chain) -> F64 | None:
-    """Return the geometry of a UR arm as `ur_branches` needs it,
-    or None if the arm has a different structure.
+    """Return the geometry of a UR arm as analytic IK needs it, or None if the arm has a different
+    structure.
     """
     table = chain.table
     order = table[:, 15].astype(int)
@@ -88,8 +88,8 @@ def ur_geometry(chain: Chain) -> F64 | None:
 
 
 def _flat(x: F64, z: F64, v: F64) -> F64:
-    """Return the coordinates (2,) of a vector v along the unit vectors x and z. They span the plane in which
-    a UR arm's upper arm and forearm move when joint 1 is at zero.
+    """Return the coordinates (2,) of a vector v along the unit vectors x and z, for analytic IK. They span
+    the plane in which a UR arm's upper arm and forearm move when joint 1 is at zero.
 
     The arctan2 of the coordinates is the angle from z, positive about y.
     """
@@ -97,7 +97,7 @@ def _flat(x: F64, z: F64, v: F64) -> F64:
 
 
 def _solves(geometry: F64, chain: Chain) -> bool:
-    """Return whether the closed-form IK for UR arms finds correct and complete solutions for some test poses.
+    """Return whether analytic IK for UR arms finds correct and complete solutions for some test poses.
 
     Each solution must reach its pose, and the positions that define the pose must be among the solutions.
     """
@@ -131,7 +131,7 @@ def _wrapped(angle):
 @njit(cache=True, error_model="numpy")
 def _turned(goal, at, geometry):
     """Rotate a direction at the tip of a UR arm (`geometry[at:at + 3]`) into the frame of the arm, for
-    closed-form IK.
+    analytic IK.
     """
     a, b, c = geometry[at], geometry[at + 1], geometry[at + 2]
     vx = goal[0] * a + goal[1] * b + goal[2] * c
@@ -147,8 +147,8 @@ def _turned(goal, at, geometry):
 
 @njit(cache=True, error_model="numpy")
 def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
-    """Append the IK solutions of a UR arm (at most two) for one direction of axis 5.
-    Return the new number of solutions.
+    """Append the analytic IK solutions of a UR arm (at most two) for one direction of axis 5. Return the new
+    number of solutions.
     """
     v = (-s1, c1, 0.0)
     x, z = c1 * (C[0] - g[22] * axis5[0]) + s1 * (C[1] - g[22] * axis5[1]), C[2] - g[22] * axis5[2]
@@ -188,8 +188,8 @@ def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
 
 @njit(cache=True, error_model="numpy")
 def _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count):
-    """Append the IK solutions of a UR arm for a singular wrist configuration: axes 4 and 6 are parallel, and
-    joint 6 can be chosen freely. Return the new number of solutions.
+    """Append the analytic IK solutions of a UR arm for a singular wrist: axes 4 and 6 are parallel, and joint
+    6 can be chosen freely. Return the new number of solutions.
 
     Joint 6 takes the reference's position, or else the first of 16 positions that reaches the goal.
     """
@@ -221,8 +221,8 @@ def _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count):
 
 @njit(cache=True, error_model="numpy")
 def ur_branches(geometry, goal, reference, out):
-    """Fill `out` (8, 6) with the IK solutions of a UR arm, with joints in (-pi, pi]. Return the number of
-    solutions.
+    """Fill `out` (8, 6) with the analytic IK solutions of a UR arm, with joints in (-pi, pi]. Return the
+    number of solutions.
 
     Args:
         geometry: from `ur_geometry`.

@@ -44,8 +44,8 @@ class Chain:
 
     @property
     def position_weight(self) -> float:
-        """Weight [1/m] of a position error relative to a rotation error in IK. With this weight, a position
-        error equal to the arm's reach counts as much as 1 rad.
+        """Weight [1/m] of a position error relative to a rotation error at the tip of an IK chain. With this
+        weight, a position error equal to the arm's reach counts as much as 1 rad.
         """
         return 1.0 / self.reach if 0.0 < self.reach < np.inf else 1.0
 

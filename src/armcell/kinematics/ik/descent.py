@@ -146,8 +146,8 @@ STEPS, CORRECTIONS = 30, 8  # slides, and iterations of the descent back to the 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def approach_in_null_space(table, bounds, goal, scale, reference, position_tolerance, rotation_tolerance, q):
-    """Move an IK solution q (n,) closer to a reference (n,) within its null space. The tip keeps its pose,
-    and the joints stay within their bounds.
+    """Move an IK solution q (n,) closer to a reference (n,) by a descent within its null space. The tip keeps
+    its pose, and the joints stay within their bounds.
 
     Each step goes toward the reference without the component that would move the tip; then a descent brings
     the tip back to its goal. The step size is halved, down to a sixteenth, after steps without progress.
@@ -200,7 +200,7 @@ def approach_in_null_space(table, bounds, goal, scale, reference, position_toler
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def null_space_step(table, bounds, goal, scale, wish, iterations, position_tolerance, rotation_tolerance, q):
     """Move a redundant arm's IK solution q (n,) by the null-space component of the desired joint step `wish`
-    (n,), then correct q so that the tip is at its goal again.
+    (n,), then correct q by a descent so that the tip is at its goal again.
 
     q changes in place.
 

@@ -55,8 +55,8 @@ def ik_problem(
 
 @njit(cache=True, error_model="numpy")
 def search(problem, seeds, scores, tries, found, count, want):
-    """Search for distinct IK solutions from many start configurations (seeds), and append up to `want` of
-    them to `found` at row `count`.
+    """Search numerically for distinct IK solutions from many start configurations (seeds), and append up to
+    `want` of them to `found` at row `count`.
 
     Args:
         problem: see `ik_problem`.
@@ -98,8 +98,8 @@ def search(problem, seeds, scores, tries, found, count, want):
 
 @njit(cache=True, error_model="numpy")
 def any_solution(problem, seeds, poses, tries, found):
-    """Search for one IK solution from tabulated start configurations (seeds), and write it to `found` (1, n).
-    Return whether one was found.
+    """Search numerically for one IK solution from tabulated start configurations (seeds), and write it to
+    `found` (1, n). Return whether one was found.
     """
     scores = np.empty(len(seeds), np.float32)
     _, _, _, goal, scale, _, _, _, _ = problem
@@ -109,8 +109,7 @@ def any_solution(problem, seeds, poses, tries, found):
 
 @ik_solvers.register("numeric")
 class NumericIK(IKSolver):
-    """Numeric solver for inverse kinematics, which runs damped least squares from many start configurations
-    (seeds).
+    """Numeric IK solver, which runs damped least squares from many start configurations (seeds).
 
     The seeds are the reference, then the precomputed poses nearest to the goal, then random positions.
     """
@@ -131,7 +130,8 @@ class NumericIK(IKSolver):
                 if count == given > 0 and tried == BARREN:
                     return
                 for q in found[given:count]:
-                    yield self._polished(chain, goal, q) if len(q) < POSE_JOINTS else q.copy()
+                    few = self.independent_joints < POSE_JOINTS
+                    yield self._polished(chain, goal, q) if few else q.copy()
                 given = count
 
     def _polished(self, chain: Chain, goal: Array, q: Array) -> Array:
@@ -199,7 +199,9 @@ class NumericIK(IKSolver):
 
 @dataclass(frozen=True, eq=False)
 class TurnedPose:
-    """Tip pose T_world_tip that an arm reaches, and its rotation about a free axis [rad] from a goal pose."""
+    """Tip pose T_world_tip that numeric IK has found to be reachable, and its rotation about a free axis
+    [rad] from a goal pose.
+    """
 
     angle: float
     T_world_tip: SE3
@@ -209,8 +211,8 @@ def poses_about_axis(
     model: RobotModel, group: str, tip_link: str, T_tip_axis: SE3, T_world_axis: SE3, reference: ArrayLike,
     tilt: float = 0.0,
 ) -> Iterator[TurnedPose]:  # fmt: skip
-    """Solve the inverse kinematics of a goal that may rotate freely about one axis: yield reachable tip poses
-    with distinct angles about the axis.
+    """Solve numeric IK for a goal that may rotate freely about one axis: yield reachable tip poses with
+    distinct angles about the axis.
 
     The z axis of the frame `axis` is the axis of rotation. The tip reaches the pose
     `T_world_axis @ Rz(angle) @ tilt @ inverse(T_tip_axis)` within the joint limits. A continuous joint about

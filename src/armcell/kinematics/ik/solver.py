@@ -27,9 +27,11 @@ CLOSEST_SEEDS, CLOSEST_ITERATIONS = (
     12,
     200,
 )  # seeds and iterations of the search for the nearest reachable pose if there is no solution
-POSE_JOINTS = 6  # joints of an arm that reaches any orientation at a position
-COARSE = (5e-5, 5e-4)  # [m], [rad] tolerances for fewer joints: rounded numbers of a URDF miss a pose by more
-# than the default tolerances, and no other joint makes up for them
+POSE_JOINTS = 6  # independent joints of an arm that reaches any orientation at a position
+COARSE = (5e-5, 1e-3)  # [m], [rad] tolerances for fewer joints: rounded numbers of a URDF miss a pose by more
+# than the default tolerances, and no other joint makes up for them. A limit of 1.57 is 8e-4 below pi / 2.
+PROBED = 3  # random states in which the independent joints are counted; few of the states are singular
+DEPENDENT = 1e-3  # least singular value [1 or m/rad] of an independent motion: larger than rounding in a URDF
 AT_LIMIT = 1e-3  # [rad or m] joints nearer to a limit count as being at the limit
 
 
@@ -70,6 +72,7 @@ class IKSolver(ABC):
 
     Attributes:
         method: "analytic" or "numeric".
+        independent_joints: number of independent directions in which the group's joints move the tip.
         lower, upper: limits of the group's joints (n,) [rad or m]; infinite for joints without limits.
         columns: indices of the group's joints in the model's positions (n,).
     """
@@ -81,12 +84,13 @@ class IKSolver(ABC):
         self, model: RobotModel, group: str, tip_link: str | None = None, settings: IKSettings = IKSettings()
     ):
         self.group = model.group(group)
-        if settings == IKSettings() and len(self.group.joint_names) < POSE_JOINTS:
-            settings = replace(settings, position_tolerance=COARSE[0], rotation_tolerance=COARSE[1])
-        self.model, self.settings = model, settings
         self.tip_link = tip_of(model, group, tip_link)
         self.tree = kinematic_tree(model)
         self.joint_names = self.group.joint_names
+        self.independent_joints = independent_joints(model, self.joint_names, self.tip_link)
+        if settings == IKSettings() and self.independent_joints < POSE_JOINTS:
+            settings = replace(settings, position_tolerance=COARSE[0], rotation_tolerance=COARSE[1])
+        self.model, self.settings = model, settings
         self.columns = np.array(model.columns(self.joint_names), dtype=np.int64)
         self.lower, self.upper = model.lower[self.columns], model.upper[self.columns]
         self._others = other_columns(model, self.joint_names, self.tip_link)
@@ -113,14 +117,14 @@ class IKSolver(ABC):
     @abstractmethod
     def _search(self, prepared: ChainData, goal: Array, reference: Array, rng: np.random.Generator | None,
                 outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
-        """Search for distinct IK solutions (n,) that reach a goal (12,), the desired tip pose in the base
-        frame of the chain.
+        """Search for distinct solutions (n,) of an IK solver that reach a goal (12,), the desired tip pose in
+        the base frame of the chain.
 
         The method also counts, in `outside` per joint, the solutions that only this joint's limits forbid.
         """
 
     def _nearer(self, prepared: ChainData, goal: Array, reference: Array, q: Array) -> Array:
-        """Return an IK solution for the same pose as `q` (n,) that is closer to the reference.
+        """Return a solution of the IK solver for the same pose as `q` (n,) that is closer to the reference.
 
         The default implementation returns `q` itself.
         """
@@ -130,7 +134,7 @@ class IKSolver(ABC):
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None,
         equivalents: bool = False,
     ) -> Iterator[Array]:  # fmt: skip
-        """Yield the distinct solutions (n,) of inverse kinematics that are within the joint limits.
+        """Yield the distinct solutions (n,) of an IK solver that are within the joint limits.
 
         Each solution is turned by full turns to be as near as possible to the reference.
 
@@ -149,8 +153,8 @@ class IKSolver(ABC):
     def nearest(
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None, among: int = 16
     ) -> list[Array]:
-        """Return up to `among` distinct IK solutions (n,), sorted by their distance from the reference,
-        nearest first.
+        """Return up to `among` distinct solutions (n,) of an IK solver, sorted by their distance from the
+        reference, nearest first.
 
         See `solutions` for the arguments.
         """
@@ -165,7 +169,7 @@ class IKSolver(ABC):
         is_valid: Validity | None = None,
         rng: np.random.Generator | None = None,
     ) -> IKResult:
-        """Solve inverse kinematics: return the valid solution that is nearest to the reference.
+        """Run the IK solver for a pose: return the valid solution that is nearest to the reference.
 
         Args:
             T_world_tip: desired pose of the tip link.
@@ -219,8 +223,8 @@ class IKSolver(ABC):
         self, q: Array, T_world_tip: SE3, iterations: int = 60, *, wish: Array | None = None,
         bounds: Array | None = None,
     ) -> tuple[float, float, bool]:  # fmt: skip
-        """Improve joint positions `q` (dof,) in place by the numeric descent of an IK solver, so that the tip
-        approaches the desired pose.
+        """Let an IK solver improve joint positions `q` (dof,) in place, so that the tip approaches the
+        desired pose.
 
         Args:
             q: initial positions of all joints; receives the result.
@@ -247,8 +251,8 @@ class IKSolver(ABC):
         return position, angle, ok
 
     def _descend(self, chain: Chain, goal: Array, at: Array, iterations: int) -> tuple[float, float, bool]:
-        """Improve joint positions `at` (n,) in place by an IK descent, as long as the descent makes
-        progress.
+        """Let an IK solver improve joint positions `at` (n,) in place, as long as the pose error
+        decreases.
         """
         n = len(at)
         return descend(
@@ -315,10 +319,10 @@ class IKSolver(ABC):
         message = f"{why} the closest is {least[0] * 1000:.0f} mm and {np.rad2deg(least[1]):.0f} deg away" + (
             f", with {', '.join(limits)} at the limit" if limits else ""
         )
-        if len(at) < POSE_JOINTS:
+        if self.independent_joints < POSE_JOINTS:
             message += (
-                f"; {len(at)} joints reach only some orientations at a position: allow more in the "
-                "goal's orientation tolerance (pi: any), or take the closest pose"
+                f"; {self.independent_joints} joints reach only some orientations at a position: allow more "
+                "in the goal's orientation tolerance (pi: any), or take the closest pose"
             )
         full = reference.copy()
         full[self.columns] = best
@@ -367,6 +371,19 @@ def tip_of(model: RobotModel, group: str, tip_link: str | None) -> str:
         raise InputError(f"group {group!r} is not a chain, so it has no tip", hint="name the link to place")
     model.link(tip)
     return tip
+
+
+def independent_joints(model: RobotModel, joint_names: tuple[str, ...], link: str) -> int:
+    """Return the number of independent directions in which joints move a link. The joints of a telescope, for
+    example, count as one.
+    """
+    tree, rng = kinematic_tree(model), np.random.default_rng(0)
+    q, columns, most = model.default_positions(), model.columns(joint_names), 0
+    for _ in range(PROBED):
+        q[columns] += rng.uniform(0.1, 1.0, len(columns))
+        jacobian = tree.jacobian(q, link, joint_names)
+        most = max(most, int(np.linalg.matrix_rank(jacobian, tol=DEPENDENT)))
+    return most
 
 
 def other_columns(model: RobotModel, joint_names: tuple[str, ...], tip_link: str) -> NDArray[np.int64]:

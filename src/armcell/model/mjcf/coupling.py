@@ -212,8 +212,8 @@ def _close_linkages(model: Any, found: Couplings, name: str) -> None:
 
 
 def _rest(model: Any, joints: list[int]) -> tuple[Array, Array]:
-    """Return the spring rest positions (n,) and weights (n,) of MJCF joints. The fit of joint couplings pulls
-    the joints toward these positions.
+    """Return the spring rest positions (n,) and weights (n,) of MJCF joints. The fit of couplings pulls the
+    joints toward these positions.
     """
     stiffness = np.array([float(np.ravel(model.jnt_stiffness[j])[0]) for j in joints])
     strongest = max(float(stiffness.max()), 1e-12)

@@ -123,7 +123,9 @@ class _Reader:
         return model
 
     def report_bare(self, model: RobotModel) -> None:
-        """Warn about links with visual shapes that neither planning nor physics checks for collisions."""
+        """Warn about links read from an MJCF file that have visual shapes but that neither planning nor
+        physics checks for collisions.
+        """
         groups = [g for g in model.rigid_groups if any(model.links[name].collisions for name in g)]
         solid = {name for group in groups for name in group}
         bare = [name for name, link in model.links.items() if link.visuals and name not in solid]

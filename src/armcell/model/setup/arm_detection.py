@@ -159,7 +159,8 @@ def _follow(
 
 
 def _are_fingers(depths: list[int], joints: int) -> bool:
-    """Return whether the branches at the end of a serial chain of joints are fingers of a hand, not arms.
+    """Return whether the branches at the end of a serial chain of joints are fingers of a hand, not arms, for
+    arm detection.
 
     Fingers have fewer joints than their arm. Three or more long branches may also have as many joints as the
     chain: the fingers of TIAGo's hand have as many as its arm.
@@ -173,8 +174,8 @@ def _are_fingers(depths: list[int], joints: int) -> bool:
 
 
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
-    """Return the movable joints in series from a given joint to the next branch,
-    and the first joints after the branch.
+    """Return the movable joints in series from a given joint to the next branch, and the first joints after
+    the branch, to detect arm chains.
 
     A branch with a short side chain, such as a head on the turning base of an arm, does not end the row.
     """
@@ -192,7 +193,9 @@ def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
 
 
 def _next_movable(model: RobotModel, link: str) -> list[Joint]:
-    """Return the first movable joints below a link. Fixed joints in between are skipped."""
+    """Return the first movable joints below a link, to detect arm chains. Fixed joints in between are
+    skipped.
+    """
     found: list[Joint] = []
     rigid = {link}
     for joint in model.joints.values():
@@ -212,7 +215,9 @@ def _depth(model: RobotModel, joint: Joint) -> int:
 
 
 def _rigid_below(model: RobotModel, link: str) -> list[str]:
-    """Return a link and all links below it that are rigidly fixed to it, to detect arms and grippers."""
+    """Return a link and all links below it that are rigidly fixed to it, to detect the palm and the tip of an
+    arm.
+    """
     rigid = [link]
     for joint in model.joints.values():
         if not joint.movable and joint.parent in rigid:
@@ -221,8 +226,8 @@ def _rigid_below(model: RobotModel, link: str) -> list[str]:
 
 
 def common_link(model: RobotModel, links: list[str]) -> str:
-    """Return the lowest common ancestor of the given links in the robot's joint tree. If one of these links
-    is an ancestor of all others, return this link.
+    """Return the lowest common ancestor of the given links in the joint tree, to detect arms and palms. If
+    one of these links is an ancestor of all others, return this link.
     """
     trails = []
     for link in links:
@@ -251,7 +256,8 @@ def _fixed_hand(model: RobotModel, last: str) -> str | None:
 
 
 def cup_links(model: RobotModel, links: Sequence[str]) -> tuple[str, ...]:
-    """Return which of the given links are named like suction cups or, if none is, like a vacuum gripper.
+    """Detect which of the given links are suction cups by their names, or, if none is, which are named like a
+    vacuum gripper.
 
     Of links that carry each other, only the outermost ones are in the result.
     """

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from armcell.core import SE3, SO3, Cone, Cylinder, InputError, Mesh, Shape
 from armcell.model.assets import load_mesh
@@ -54,7 +52,9 @@ class MeasuredCup:
 
     @property
     def stroke(self) -> float:
-        """Return how far the free lip reaches beyond the ring [m]: at most the depth of the cup's hollow."""
+        """Return how far the free lip of a suction cup reaches beyond the ring [m]: at most the depth of the
+        cup's hollow.
+        """
         return round(min(STROKE, self.depth, MAX_STROKE), 5)
 
 
@@ -132,7 +132,9 @@ def measured_cups(model: RobotModel, mount: str, name: str) -> list[MeasuredCup]
 
 
 def _rims(name: str, shapes: list[tuple[Mesh, SE3]], axis: F64) -> list[MeasuredCup]:
-    """Return the circles at the end of a link's shapes along an axis, the largest of concentric circles."""
+    """Find the rims of suction cups: return the circles at the end of a link's shapes along an axis, the
+    largest of concentric circles.
+    """
     found: list[MeasuredCup] = []
     u = np.asarray(np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))]), dtype=float)
     u /= np.linalg.norm(u)
@@ -163,7 +165,12 @@ def _rims(name: str, shapes: list[tuple[Mesh, SE3]], axis: F64) -> list[Measured
 
 
 def _connected(mesh: Mesh, at: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
-    """Return the vertices selected by `at` (v,) as one index array for each part that edges connect."""
+    """Return the vertices selected by `at` (v,), such as those of suction cups' rims, as one index array for
+    each part that edges connect.
+    """
+    from scipy.sparse import coo_matrix  # imported late: the import takes 0.1 s, and few models have cups
+    from scipy.sparse.csgraph import connected_components
+
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     edges = edges[at[edges].all(1)]
     size = len(mesh.vertices)
@@ -174,7 +181,9 @@ def _connected(mesh: Mesh, at: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
 
 
 def _circle(points: F64) -> tuple[F64, float] | None:
-    """Return center (2,) and radius [m] of a circle around points (n, 2), or None if they form none."""
+    """Fit the rim of a suction cup: return center (2,) and radius [m] of a circle around points (n, 2), or
+    None if they form none.
+    """
     angle = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     along = np.column_stack([np.cos(angle), np.sin(angle)])
     high, low = (points @ along.T).max(0), (points @ along.T).min(0)
@@ -233,7 +242,9 @@ def _cup(cup: MeasuredCup) -> SuctionCup:
 
 
 def _axes(z: F64, rings: F64) -> F64:
-    """Return the axes (3, 3) of the tcp as columns: y along the line between the two farthest rings."""
+    """Return the axes (3, 3) of a suction gripper's tcp as columns: y along the line between the two cups
+    that are farthest apart.
+    """
     if len(rings) > 1:
         apart = np.linalg.norm(rings[:, None] - rings[None], axis=2)
         a, b = np.unravel_index(np.argmax(apart), apart.shape)
@@ -247,7 +258,7 @@ def _axes(z: F64, rings: F64) -> F64:
 
 
 def _with_tcp(model: RobotModel, end: EndEffector, T_mount_tcp: SE3, tool: str) -> tuple[RobotModel, str]:
-    """Return the robot with a tcp link in the middle of the rings, and its name."""
+    """Return the robot with a tcp link in the middle of the suction cups' rings, and its name."""
     mount = end.parent_link
     for name in (tool,) if tool else _rigid(model, mount):
         if model.links[name].collisions and not tool:
@@ -266,5 +277,7 @@ def _with_tcp(model: RobotModel, end: EndEffector, T_mount_tcp: SE3, tool: str) 
 
 
 def _rigid(model: RobotModel, link: str) -> list[str]:
-    """Return the links that fixed joints connect to a link, from the link outward."""
+    """Return the links that fixed joints connect to a link, from the link outward; these links can carry
+    suction cups.
+    """
     return [n for n in model.subtree(link) if all(not j.movable for j in model.chain(link, n))]

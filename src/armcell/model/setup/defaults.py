@@ -89,14 +89,14 @@ MANAGER = "moveit_simple_controller_manager/MoveItSimpleControllerManager"
 
 
 def config_name(planner: str) -> str:
-    """Return the name of an OMPL planner in a MoveIt configuration's ompl_planning.yaml, such as
+    """Return the name of an OMPL planner in MoveIt's default ompl_planning.yaml, such as
     `RRTConnectkConfigDefault`.
     """
     return f"{planner}kConfigDefault"
 
 
 def planner_configs() -> dict[str, dict[str, Any]]:
-    """Return the block `planner_configs` of ompl_planning.yaml with all known OMPL planners."""
+    """Return the block `planner_configs` of the default ompl_planning.yaml, with all known OMPL planners."""
     return {config_name(n): {"type": f"geometric::{n}", **values} for n, values in PLANNERS.items()}
 
 

@@ -37,7 +37,7 @@ FORMAT = (
 
 @dataclass(frozen=True)
 class GripperSpec:
-    """Gripper specification that the user passes to robot setup (`--gripper`). Setup detects every property
+    """User's specification for gripper detection in robot setup (`--gripper`). Setup detects every property
     that is empty.
 
     Attributes:
@@ -103,7 +103,9 @@ class GripperSpec:
 
 
 def _limits(text: str, value: str) -> tuple[float, float]:
-    """Parse the limits of a gripper's driven joint that the user states, as "LOWER,UPPER" [rad or m]."""
+    """Parse the driven joint's limits in the user's specification for gripper detection, as "LOWER,UPPER"
+    [rad or m].
+    """
     try:
         lower, upper = (float(word) for word in value.split(","))
     except ValueError:
@@ -116,8 +118,9 @@ def _limits(text: str, value: str) -> tuple[float, float]:
 
 
 def find_grippers(model: RobotModel, tips: bool = False, stated: Sequence[GripperSpec] = ()) -> RobotModel:
-    """Return the robot with a `Gripper` for each end effector with two jaws and one driven joint, and with a
-    `SuctionGripper` for each end effector of which the user states it.
+    """Detect the grippers of a robot and return the robot with them: a `Gripper` for each end effector with
+    two jaws and one driven joint, and a `SuctionGripper` for each end effector for which the user specifies
+    it.
 
     If no frame of the robot is at the center of the pads or cups, the robot gets a link `<end effector>_tcp`
     there. Log messages state why an end effector has no gripper.
@@ -145,7 +148,9 @@ def find_grippers(model: RobotModel, tips: bool = False, stated: Sequence[Grippe
 
 
 def reasons(model: RobotModel) -> dict[str, str]:
-    """Return why robot setup did not recognize a gripper, with a hint, for each end effector by name."""
+    """Return why gripper detection failed, with a hint, for each end effector that has no gripper, by
+    name.
+    """
     found = {}
     for end in model.end_effectors.values():
         if end.name not in model.grippers:
@@ -157,7 +162,8 @@ def reasons(model: RobotModel) -> dict[str, str]:
 
 
 def _by_end(model: RobotModel, stated: Sequence[GripperSpec]) -> dict[str, GripperSpec]:
-    """Return the user's gripper specifications as a dictionary with the names of end effectors as keys.
+    """Return the user's specifications for gripper detection as a dictionary with the names of end effectors
+    as keys.
 
     Raises:
         InputError: an end effector does not exist, is stated twice, or is missing although there are several.

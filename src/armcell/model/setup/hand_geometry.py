@@ -15,8 +15,8 @@ SPACING = 0.002  # [m] of the grid on which the jaws' facing surfaces are compar
 
 
 def surface_points(link: Link, spacing: float) -> F64:
-    """Sample points (n, 3) [m] on the surface of a link's collision shapes, about three points per square of
-    side `spacing` [m]. A shape that is not a mesh is replaced with its bounding box.
+    """Sample points (n, 3) [m] on the collision shapes of a hand's link, to measure the hand geometry: about
+    three points per square of side `spacing` [m]. A bounding box replaces each shape that is not a mesh.
     """
     found = [np.zeros((0, 3))]
     for collision in link.collisions:
@@ -31,8 +31,8 @@ def surface_points(link: Link, spacing: float) -> F64:
 
 
 def _spread(corners: F64, spacing: float) -> F64:
-    """Sample points on the surface of a link, given as triangles (n, 3, 3): all corners, and random points in
-    large triangles.
+    """Sample points on the geometry of a hand's link, given as triangles (n, 3, 3): all corners, and random
+    points in large triangles.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
@@ -45,7 +45,7 @@ def _spread(corners: F64, spacing: float) -> F64:
 
 
 def _box(center: F64, half: F64) -> F64:
-    """Return the triangles (12, 3, 3) of a box, to sample points on its surface."""
+    """Return the triangles (12, 3, 3) of a box that replaces a shape in the geometry of a hand."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     v = np.asarray(center) + signs * np.asarray(half)
     quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
@@ -53,7 +53,8 @@ def _box(center: F64, half: F64) -> F64:
 
 
 class GripperNotRecognizedError(Exception):
-    """Error for a gripper that robot setup cannot recognize; the text states the reason.
+    """Error for a hand that robot setup cannot recognize as a gripper, for example because of its geometry.
+    The text states the reason.
 
     `hint` states the remedy, if there is one.
     """
@@ -87,8 +88,7 @@ class HandGeometry:
         self.points = {name: surface_points(model.links[name], SPACING) for name in below}
 
     def pose(self, link: str, q: float) -> SE3:
-        """Return T_palm_link, the pose of a hand's link in the frame of the palm, for gripper detection in
-        the robot setup.
+        """Return T_palm_link, the pose of a link in the geometry of a hand, relative to the palm.
 
         The driven joint is at `q`. Joints that mimic it follow, and all other joints are at zero.
         """
@@ -98,8 +98,8 @@ class HandGeometry:
         return T
 
     def at(self, links: tuple[str, ...], q: float) -> F64:
-        """Return points (n, 3) [m] on the surfaces of `links`, in the frame of the gripper's palm.
-        The driven joint of the gripper is at `q`.
+        """Return points (n, 3) [m] on the surfaces of a hand's links, in the frame of the palm. The driven
+        joint of the hand is at `q`.
         """
         parts = [self.pose(n, q).apply(p) for n in links if len(p := self.points.get(n, np.zeros((0, 3))))]
         return np.concatenate(parts) if parts else np.zeros((0, 3))
@@ -113,8 +113,8 @@ class HandGeometry:
         return next((j.name for j in self.model.chain(root, top) if j.movable), "")
 
     def last_axis(self) -> F64 | None:
-        """Return the axis of the last arm joint above a gripper, in the frame of the palm.
-        It is None if there is no arm.
+        """Return the axis of the last arm joint above a hand, in the frame of the hand's palm. It is None if
+        there is no arm.
         """
         link = self.palm
         while (joint := self.model.parent_joint.get(link)) is not None and not joint.movable:
@@ -131,8 +131,8 @@ class HandGeometry:
         return sum(j.movable for j in self.model.chain(self.model.root_link, self.palm))
 
     def gap(self, a: tuple[str, ...], b: tuple[str, ...], axes: F64, q: float) -> tuple[float, F64, F64, F64]:
-        """Compute the gap [m] between two jaws of a hand from the points on their facing surfaces, on a grid
-        in x and z.
+        """Compute the gap [m] between two jaws from the geometry of a hand: the points on the jaws' facing
+        surfaces, on a grid in x and z.
 
         Returns:
             The smallest gap [m] (infinite if the jaws face each other nowhere), and the cells (n, 2), the
@@ -157,8 +157,8 @@ class HandGeometry:
 
 
 def _value(model: RobotModel, joint: Joint, driver: str, q: float) -> float:
-    """Return the position of a gripper's joint when the driving joint
-    is at `q` and all other joints are at zero.
+    """Return the position of a joint in the geometry of a hand when the driving joint is at `q` and all other
+    joints are at zero.
     """
     driven, multiplier, offset = model.coupling(joint.name)
     return (multiplier * q if driven == driver else 0.0) + offset

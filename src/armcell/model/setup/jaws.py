@@ -79,8 +79,8 @@ def _side(hand: HandGeometry, links: Part) -> Part:
 
 
 def _speeds(hand: HandGeometry, parts: list[Part]) -> dict[Part, Array]:
-    """Return the mean velocity (3,) of each part (group of links) of a hand while the gripper's driven joint
-    moves at unit velocity.
+    """Return the mean velocity (3,) of each possible jaw (group of links of a hand) while the gripper's
+    driven joint moves at unit velocity.
     """
     low, high = hand.driver.limits.lower, hand.driver.limits.upper
     mid, h = (low + high) / 2, (high - low) / 200
@@ -88,7 +88,9 @@ def _speeds(hand: HandGeometry, parts: list[Part]) -> dict[Part, Array]:
 
 
 def _out(hand: HandGeometry, parts: list[Part], mid: float) -> Array:
-    """Return the unit direction (3,) out of the hand: from the palm to the moving parts."""
+    """Return the unit direction (3,) in which the jaws point out of the hand: from the palm to the moving
+    parts.
+    """
     out = np.concatenate([hand.at(p, mid) for p in parts]).mean(0)
     if np.linalg.norm(out) < 1e-6:
         raise GripperNotRecognizedError("its jaws surround the palm, so no direction is out of the hand")
@@ -154,7 +156,7 @@ def _facing(
 def _ends(
     hand: HandGeometry, a: Part, b: Part, axes: Array, low: float, high: float, closes: str
 ) -> tuple[float, float]:
-    """Return the positions of the driven joint at which the jaws are closed and open."""
+    """Return the positions of the driven joint at which a gripper's jaws are closed and open."""
     gaps = [hand.gap(a, b, axes, q)[0] for q in (low, high)]
     if not np.isfinite(gaps).any():
         raise GripperNotRecognizedError("its jaws do not face each other in any position", STATE_FINGERS)
@@ -253,7 +255,7 @@ def _nearest(hand: HandGeometry, fixed: Part, jaw: Part, q: float, pivot: Array)
 
 
 def _axes(y: Array, out: Array) -> Array:
-    """Return the axes (3, 3) of a gripper's frame as rows, given the jaws' closing direction and the
+    """Return the axes (3, 3) of a gripper's frame as rows, given the closing direction of its jaws and the
     direction out of the hand.
     """
     y = _snapped(y / np.linalg.norm(y))

@@ -22,7 +22,7 @@ Data = dict[str, Any]
 
 
 def unwrapped(data: Data, *inner: str) -> Data:
-    """Return the ROS parameters in a MoveIt configuration's file, without node names and namespaces.
+    """Return the ROS parameters in one file of a MoveIt configuration, without node names and namespaces.
 
     ROS 2 files wrap parameters in a node name, `ros__parameters` and possibly a namespace in `inner`.
     """
@@ -35,7 +35,7 @@ def unwrapped(data: Data, *inner: str) -> Data:
 
 
 def to_number(value: Any) -> Any:
-    """Convert a numeric string of a MoveIt configuration to a float; leave other values unchanged.
+    """Convert a numeric string from a YAML file of MoveIt to a float; leave other values unchanged.
 
     YAML 1.1 parses a number such as 10e-10 as a string.
     """
@@ -75,7 +75,7 @@ def name_of(value: Any, file: Path, key: str) -> str:
 
 
 def known_group(name: str, file: Path, model: RobotModel) -> bool:
-    """Return whether the SRDF of a MoveIt configuration defines a group. If not, log a warning.
+    """Return whether a planning group named in a YAML file of MoveIt is in the SRDF. If not, log a warning.
 
     Like MoveIt, armcell ignores settings of undefined groups.
     """
@@ -108,7 +108,8 @@ def limits_of(data: Data, file: Path) -> Data:
 
 
 def with_joint_limits(model: RobotModel, data: Data, file: Path) -> RobotModel:
-    """Return the robot of a MoveIt configuration. Where joint_limits.yaml has tighter limits, they apply.
+    """Return the robot with the joint limits from the files of its MoveIt configuration, where these limits
+    are tighter.
 
     A wider velocity, acceleration or jerk limit is ignored with a warning. Joints without any velocity or
     acceleration limit get MoveIt's defaults.

@@ -114,8 +114,8 @@ def with_measured_gripper(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool
 
 
 def _touching(hand: HandGeometry, jaws: Jaws) -> Jaws:
-    """Return the jaws of a gripper with the closed position at which they touch first, if they overlap deeply
-    at the limit of the driven joint. The joint then stops before its limit.
+    """Return the jaws with the closed position at which their pads first touch, if the jaws overlap deeply at
+    the limit of the driven joint. The joint then stops before its limit.
     """
 
     def gap(q: float) -> float:
@@ -131,7 +131,7 @@ def _touching(hand: HandGeometry, jaws: Jaws) -> Jaws:
 
 
 def _opening_cells(hand: HandGeometry, jaws: Jaws, cells: Array, gaps: Array) -> NDArray[np.bool_]:
-    """Return which grid cells (n,) between a turning jaw and the fixed jaw can belong to the pads.
+    """Return which grid cells (n,) between a turning jaw and the fixed jaw can belong to the gripper's pads.
 
     Around the jaw's joint, both links overlap in every position, so the gap there does not grow when the
     gripper opens.
@@ -229,8 +229,8 @@ def _reach(hand: HandGeometry, jaws: Jaws, width: float, curve: Array, z: float)
 
 
 def _finger_links(hand: HandGeometry, part: tuple[str, ...]) -> list[str]:
-    """Return the finger links of a jaw for a gripper's parameters: in each rigid part of the jaw, the link
-    with the most surface points.
+    """Return the finger links of a jaw whose pads are measured: in each rigid part of the jaw, the link with
+    the most surface points.
     """
     rigid = dict.fromkeys(hand.rigid[name] for name in part)
     return [max(links, key=lambda n: len(hand.points[n])) for links in rigid]

@@ -21,7 +21,7 @@ CHARACTERS = 64  # number of characters that count as one item
 
 class XacroError(Exception):
     """Error for a xacro file that is invalid, uses a feature that armcell does not support, or exceeds its
-    limits of work and memory.
+    budget of work and memory.
     """
 
     def __init__(self, reason: str, hint: str | None = None):
@@ -31,8 +31,8 @@ class XacroError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """Function that xacro expressions can call. `run(budget, *arguments, **keywords)` executes the function
-    and deducts its operations from the xacro file's budget.
+    """Function that xacro expressions can call within the budget: `run(budget, *arguments, **keywords)`
+    executes it and deducts its operations from the xacro file's budget.
 
     Attributes:
         name: name of the function in messages.
@@ -127,8 +127,8 @@ def check_key(key: Any) -> None:
 
 
 def check_repeated(items: Sequence[Any], times: int) -> None:
-    """Check that a string or list does not exceed the size limit for one value when a xacro expression
-    repeats it.
+    """Check that a string or list that a xacro expression repeats fits the memory budget: the size limit for
+    one value.
 
     Raises:
         XacroError: `items`, repeated `times` times, would be too long.

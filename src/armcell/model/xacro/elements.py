@@ -49,7 +49,9 @@ def append_text(out: Element, text: str) -> None:
 
 
 def move_content(made: Element, out: Element) -> None:
-    """Move the text and the children of one element to the end of another, while xacro is expanded."""
+    """Move the text and the child elements of one XML element of a xacro file to the end of another
+    element.
+    """
     if made.text:
         append_text(out, made.text)
     out.extend(list(made))

@@ -220,7 +220,7 @@ class _Expansion:
         return {**MATH, **BASIC, **functions, **spaces}
 
     def _path(self, name: str) -> Path:
-        """Resolve a path in a xacro file, relative to the folder of the file that is being expanded."""
+        """Resolve a path while a xacro file is expanded, relative to the folder of that file."""
         if "\0" in name:
             raise XacroError(f"{name!r} is not a path")
         return self.reading[-1].parent / name
@@ -444,7 +444,7 @@ _DIRECTIVES = {
 
 @contextmanager
 def _deep_calls() -> Iterator[None]:
-    """Raise Python's recursion limit while xacro macros that call themselves are expanded.
+    """Raise Python's recursion limit for the expansion of recursive xacro macros.
 
     Each level of a recursive macro takes about ten Python frames.
     """
@@ -464,6 +464,8 @@ def _pushed(stack: list[Any], item: Any) -> Iterator[None]:
 
 
 def _one_line(text: str) -> str:
-    """Shorten a text to one printable line of at most 600 characters, for messages about xacro errors."""
+    """Shorten a text to one printable line of at most 600 characters, for messages about errors in the
+    expansion of a xacro file.
+    """
     line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
     return line if len(line) <= MAX_REASON else line[: MAX_REASON - 3] + "..."

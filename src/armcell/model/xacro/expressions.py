@@ -37,8 +37,8 @@ class Names(Protocol):
 
 
 class AttributeDict(dict[Any, Any]):
-    """Dictionary from a YAML file.
-    In xacro expressions, its keys can also be used as attributes, as in `limits.lower`.
+    """Dictionary whose keys xacro expressions can also use as attributes, as in `limits.lower`. It holds the
+    content of a YAML file.
     """
 
 
@@ -200,7 +200,7 @@ class _Evaluator:
         return answer
 
     def data(self, *values: Any) -> None:
-        """Deduct the size of the operands in a xacro expression from the budget for expanding the xacro file.
+        """Check the operands of an operator in a xacro expression, and deduct their size from the budget.
 
         Numbers and None are free.
 

@@ -23,8 +23,8 @@ PERCENT = re.compile(r"%(?:\((?P<key>[^)]*)\))?[#0\- +]*(?P<width>\*|\d*)(?:\.(?
 
 
 def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function:
-    """Wrap a Python function for use in xacro expressions. Each call deducts the size of its arguments from
-    the number of operations that the xacro file may still use.
+    """Make a Python function callable as a function in xacro expressions. Each call deducts the size of the
+    arguments from the operations that the xacro file may still use.
 
     The budget assumes that the function's run time is at most proportional to the size of its arguments.
     """
@@ -332,7 +332,7 @@ METHODS: dict[type, dict[str, Callable[..., Any]]] = {
 
 
 def method_of(value: Any, name: str) -> Function | None:
-    """Return a method of a value as a function for xacro expressions, or None if the method is not
+    """Return a method of a value as a function that xacro expressions can call, or None if the method is not
     allowed.
     """
     found = next((methods for kind, methods in METHODS.items() if isinstance(value, kind)), {}).get(name)

@@ -122,8 +122,8 @@ class Scope:
 
 
 def evaluate_text(text: str, scope: Scope) -> Any:
-    """Evaluate a text that contains `${...}` and `$(...)` in a xacro scope. A text that is a single
-    expression keeps the type of its value.
+    """Evaluate a text that contains `${...}` and `$(...)` with the names of a xacro scope. A text that is a
+    single expression keeps the type of its value.
 
     Raises:
         XacroError: an expression fails (see `evaluate`), or a `$` starts neither form.
@@ -201,7 +201,9 @@ class Arguments:
 
 
 def typed(value: str) -> Any:
-    """Convert the value of a xacro argument `$(arg)` to an int, float or bool if possible."""
+    """Convert the value of an argument `$(arg)`, for its use in a xacro scope, to an int, float or bool if
+    possible.
+    """
     if len(value) <= MAX_DIGITS:
         try:
             return float(value) if "." in value else int(value)
@@ -212,7 +214,7 @@ def typed(value: str) -> Any:
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter in `params` of a xacro macro, with its default value.
+    """Parameter that a xacro macro adds to its scope (an item of `params`), with its default value.
 
     Attributes:
         name: name of the parameter; a block parameter's name starts with `*`.
@@ -230,7 +232,7 @@ class Parameter:
 
 
 def parameters_of(text: str) -> tuple[Parameter, ...]:
-    """Parse the parameters that the attribute `params` of a xacro macro declares.
+    """Parse the attribute `params` of a xacro macro, which declares the parameters in the macro's scope.
 
     Raises:
         XacroError: the text is too long.
@@ -344,7 +346,7 @@ class Substitution:
 
 @dataclass(frozen=True, eq=False)
 class Macro:
-    """Definition of a xacro macro to expand: its body and its parameters."""
+    """Definition of a xacro macro, which a scope stores by name: its body and its parameters."""
 
     body: Element
     parameters: tuple[Parameter, ...]

@@ -17,39 +17,41 @@ from armcell.ros.names import resolve
 
 
 class ROSException(Exception):
-    """Base class of the exceptions that rospy raises."""
+    """Base class of the exceptions that a ROS node raises, like that of rospy."""
 
 
 class ROSInterruptException(ROSException, KeyboardInterrupt):
-    """Exception that rospy raises if a blocking call is interrupted because the program shuts down."""
+    """Exception of a ROS node, like that of rospy: a blocking call is interrupted because the program shuts
+    down.
+    """
 
 
 class ROSInitException(ROSException):
-    """Exception that rospy raises if the node is not initialized or cannot be initialized."""
+    """Exception of rospy: the ROS node is not initialized or cannot be initialized."""
 
 
 class ROSSerializationException(ROSException):
-    """Exception that rospy raises if a message cannot be serialized."""
+    """Exception of a ROS node, like that of rospy: a message cannot be serialized."""
 
 
 class TransportException(ROSException):
-    """Exception that rospy raises if a connection to another ROS node fails."""
+    """Exception of a ROS node, like that of rospy: a connection to another node fails."""
 
 
 class ServiceException(Exception):
-    """Exception that rospy raises if a service call fails."""
+    """Exception of a ROS node, like that of rospy: a service call fails."""
 
 
 class ROSTimeMovedBackwardsException(ROSInterruptException):
-    """Exception that rospy raises if ROS time moves backwards during a sleep, e.g. because the simulation is
-    reset.
+    """Exception of a ROS node, like that of rospy: ROS time moves backwards during a sleep, e.g. because the
+    simulation is reset.
     """
 
 
 # --- names and errors ---
 def resolved(name: str) -> str:
-    """Convert a name in the rospy node to a full graph name.
-    A `~private` name is resolved in the namespace of the node.
+    """Convert a name that the ROS node uses to a full graph name. A `~private` name is resolved in the
+    namespace of the node.
     """
     try:
         if name.startswith("~"):
@@ -66,7 +68,9 @@ def check_running() -> None:
 
 @contextlib.contextmanager
 def ros_errors(kind: type[Exception]) -> Any:
-    """Convert exceptions that armcell raises in a `with` block to the exceptions that rospy would raise."""
+    """Convert armcell's exceptions in a `with` block to the exceptions that a ROS node would raise in
+    rospy.
+    """
     try:
         yield
     except (ArmcellError, ServiceError) as error:
@@ -155,7 +159,8 @@ def get_time() -> float:
 
 
 def sleep(duration: float | Duration) -> None:
-    """Sleep for a duration measured by the cell's clock, as rospy.sleep does with use_sim_time.
+    """Let the ROS node sleep for a duration measured by the cell's clock, as rospy.sleep does with
+    use_sim_time.
 
     Args:
         duration: seconds or a Duration.
@@ -182,8 +187,8 @@ def wait_until(seconds: float) -> None:
 
 
 class Rate:
-    """Loop timer like rospy.Rate.
-    Its method `sleep` keeps a loop at a fixed rate [Hz], measured by the cell's clock.
+    """Loop timer of a ROS node, like rospy.Rate. Its method `sleep` keeps a loop at a fixed rate [Hz],
+    measured by the cell's clock.
     """
 
     def __init__(self, hz: float, reset: bool = False):
@@ -205,8 +210,8 @@ class Rate:
 
 
 class Timer(threading.Thread):
-    """Timer like rospy.Timer.
-    It calls a function with a TimerEvent at a fixed period, measured by the cell's clock.
+    """Timer of a ROS node, like rospy.Timer. It calls a function with a TimerEvent at a fixed period,
+    measured by the cell's clock.
     """
 
     def __init__(
@@ -239,7 +244,9 @@ class Timer(threading.Thread):
 
 
 class TimerEvent:
-    """Expected and actual times of a timer's current and previous calls, like rospy's TimerEvent."""
+    """Expected and actual times of the current and previous calls by a ROS node's timer, like rospy's
+    TimerEvent.
+    """
 
     def __init__(
         self, last_expected: Any, last_real: Any, current_expected: Any, current_real: Any, last_duration: Any

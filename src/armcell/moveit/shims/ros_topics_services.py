@@ -25,7 +25,7 @@ QUEUE_SIZE = 100  # default of this shim; without a queue size rospy blocks or q
 
 # --- topics ---
 class Publisher:
-    """Publisher of a topic on the bus, like rospy.Publisher."""
+    """Publisher of a ROS topic, like rospy.Publisher. It publishes on the bus."""
 
     def __init__(
         self, name: str, data_class: type, subscriber_listener: Any = None, tcp_nodelay: bool = False,
@@ -37,8 +37,8 @@ class Publisher:
             self._publisher = current_session().bus.advertise(self.name, self.type, latch)
 
     def publish(self, *args: Any, **kwds: Any) -> None:
-        """Publish a message like rospy.Publisher.
-        The message is given directly or by the values of its fields.
+        """Publish a message on a ROS topic, like rospy.Publisher. The message is given directly or by the
+        values of its fields.
         """
         if len(args) == 1 and not kwds and getattr(args[0], "_type", None) == self.type:
             message = args[0]
@@ -60,8 +60,8 @@ class Publisher:
 
 
 class Subscriber:
-    """Subscriber like rospy.Subscriber.
-    Its thread calls a function with a copy of each message, which the function may modify.
+    """Subscriber of a ROS topic, like rospy.Subscriber. Its thread calls a function with a copy of each
+    message, which the function may modify.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ def get_published_topics(namespace: str = "/") -> list[list[str]]:
 
 # --- services ---
 class Service:
-    """Service server on the bus, like rospy.Service.
+    """Server of a ROS service on the bus, like rospy.Service.
 
     The handler may return a response message, a list, tuple or dict of its fields, or the value of its first
     field.

@@ -104,8 +104,9 @@ def plan_redundancy(
 
 
 def _null(ik: IKSolver, full: F64, like: F64 | None) -> F64:
-    """Compute the null-space direction (n,) of a redundant arm, a joint motion that does not move the tip.
-    The largest component has magnitude 1, and the direction does not point against `like`.
+    """Compute the null-space direction (n,) in which a redundant arm can move while following a line, because
+    the tip stays in place. The largest component has magnitude 1, and the direction does not point against
+    `like`.
     """
     J = ik.tree.jacobian(full, ik.tip_link, ik.joint_names)
     along = np.linalg.svd(J)[2][-1]
@@ -114,8 +115,8 @@ def _null(ik: IKSolver, full: F64, like: F64 | None) -> F64:
 
 
 def _between(last: _Node, cuts: list[int], count: int) -> F64:
-    """Interpolate a redundant arm's joint positions linearly between the configurations that the search chose
-    at the steps `cuts` of a Cartesian line. Return the joint positions (count, n) of all steps.
+    """Interpolate the joint positions of a redundant arm between the configurations that the search chose at
+    the steps `cuts`, to follow a line. Return the joint positions (count, n) of all steps.
     """
     nodes: list[F64] = []
     node: _Node | None = last
@@ -139,7 +140,7 @@ TURNING, SLIDING, RELATIVE = "jump_threshold", "prismatic_jump_threshold", "rela
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """First step on the line of a Cartesian path at which the robot cannot continue.
+    """First step at which the robot cannot continue to follow a Cartesian line.
 
     Attributes:
         explain: computes the reason with its evidence; called only for the best of all attempts.
@@ -162,7 +163,7 @@ class StopReason:
 
 
 def collision_stop(contacts: list[Contact]) -> StopReason:
-    """Return the `StopReason` for a robot that stops on a Cartesian line because bodies would collide."""
+    """Return the reason why the robot stops following a Cartesian line: bodies would collide."""
     text = "; ".join(c.describe() for c in contacts[:3]) or "in collision"
     return StopReason(COLLISION, text, ErrorCode.INVALID_MOTION_PLAN, {"contacts": contacts})
 
@@ -180,8 +181,8 @@ def jump_stop(joint: str, step: float, threshold: float, field: str, unit: str) 
 
 
 def at_violation(manifold: ConstraintManifold, q: F64) -> list[Violation]:
-    """List the constraints that positions q (n,) on a Cartesian line violate, or satisfy with too small a
-    margin.
+    """List the constraints that the robot violates, or satisfies with too small a margin, at positions q (n,)
+    while following a Cartesian line.
     """
     return manifold.violations(q, inside=manifold.allowance == 0.0)
 
@@ -250,8 +251,8 @@ class FollowedLine:
 
 
 def _near(checker: KernelChecker, q: F64) -> list[Contact]:
-    """List the pairs of bodies that touch or are closer than the
-    padding at positions q (n,) on a Cartesian line.
+    """List the pairs of bodies that touch or are closer than the padding at positions q (n,) of a robot that
+    follows a Cartesian line.
 
     The list has only the nearest pair if just the kernel checker finds one.
     """
@@ -262,7 +263,7 @@ def _near(checker: KernelChecker, q: F64) -> list[Contact]:
 
 
 class RestingStartRule:
-    """Collision rule for a Cartesian line whose start is in resting contact; the rule applies until the arm
+    """Collision rule for following a line whose start is in resting contact; the rule applies until the arm
     has left this contact.
     """
 
@@ -273,8 +274,8 @@ class RestingStartRule:
         self._others.relax_margins(start)
 
     def forbidden_contacts(self, q: F64) -> list[Contact] | None:
-        """Return the contacts at joint positions q (n,) that are forbidden on a Cartesian line with a resting
-        contact at its start. Return None if q is allowed.
+        """Return the contacts at joint positions q (n,) that are forbidden while following a line from a
+        start in resting contact. Return None if q is allowed.
         """
         if (contact := self._leaving.forbidden_contact(q)) is not None:
             return [contact]
@@ -389,8 +390,8 @@ class LineFollower:
 def relative_jump(
     path: F64, names: tuple[str, ...], slides: NDArray[np.bool_], factor: float
 ) -> tuple[int, Stop] | None:
-    """Find the first step on a Cartesian line in which the joints move more than `factor` times as far as in
-    an average step (as MoveIt does).
+    """Find the first step of a followed Cartesian line in which the joints move more than `factor` times as
+    far as in an average step (as MoveIt does).
 
     The length of a step is the sum of all joints' motions.
 

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 def check_constraints(scene: PlanningScene, group: str, constraints: Constraints) -> None:
-    """Check constraints for errors that make them invalid in every scene, and raise an error if there is one.
+    """Validate constraints: raise an error if one of them is invalid in every scene.
 
     Raises:
         UnknownNameError: no such joint, link, frame or parameterization.
@@ -72,7 +72,8 @@ def _tolerances(what: str, values: tuple[float, ...]) -> None:
 
 
 def contradiction(scene: PlanningScene, group: str, constraints: Constraints) -> str:
-    """Check the constraints of a request for contradictions, and explain why no state satisfies all of them.
+    """Validate the constraints of a request together: explain why no state satisfies all of them if they are
+    contradictory.
 
     Return "" if the checks find no contradiction.
     """
@@ -92,8 +93,7 @@ def contradiction(scene: PlanningScene, group: str, constraints: Constraints) ->
 def joint_ranges(
     scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]
 ) -> tuple[Array, Array]:
-    """Intersect the joint limits of a group with its joint constraints, to check the constraints for
-    contradictions.
+    """Intersect the joint limits of a group with its joint constraints, to validate the constraints.
 
     Return the lower and upper bounds (n,), (n,).
     """
@@ -108,8 +108,8 @@ def joint_ranges(
 
 
 def contradictory_joint(scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]) -> str:
-    """Check the joint constraints of a group for contradictions, and explain why a joint has no allowed
-    position.
+    """Validate the joint constraints of a group: if they are contradictory, explain why a joint has no
+    allowed position.
 
     Return "" if every joint has an allowed position.
     """
@@ -145,7 +145,7 @@ def _out_of_reach(scene: PlanningScene, group: str, c: PositionConstraint) -> st
 
 
 def _apart(scene: PlanningScene, name: str, a: OrientationConstraint, b: OrientationConstraint) -> str:
-    """Check two orientation constraints on the same link for a contradiction, and explain it.
+    """Validate two orientation constraints on the same link: if they are contradictory, explain why.
 
     Return "" if a rotation can satisfy both.
     """

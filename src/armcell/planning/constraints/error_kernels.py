@@ -108,8 +108,8 @@ def place_links(n, c, x, q, at):
 
 @njit(cache=True)
 def orientation_error(n, c, x, turn):
-    """Compute the error (3,) of an orientation constraint and its derivative (3x3 matrix). Write the error to
-    x[work:] and the derivative to x[work + 3:] in the scratch memory x.
+    """Compute, in a compiled kernel, the error (3,) of an orientation constraint and its derivative (3x3
+    matrix). Write the error to x[work:] and the derivative to x[work + 3:] in the scratch memory x.
 
     The matrix maps the link's angular velocity in the world to the rate of the error. Call `place_links`
     first. A rotation vector e changes by the inverse left Jacobian of SO(3), 1 - [e]/2 + k [e]^2. Euler
@@ -184,7 +184,8 @@ def point_at(n, c, x, point):
 
 @njit(cache=True)
 def signed_distance(n, c, shape, sizes, px, py, pz):
-    """Compute the signed distance [m] from a world point to a convex shape of a constraint region.
+    """Compute the signed distance [m] from a world point to a convex shape of a constraint region. Kernels
+    for constraint errors call it.
 
     `sizes` is the offset of the shape's sizes: SIZE or INNER_SIZE.
     """
@@ -214,8 +215,8 @@ def signed_distance(n, c, shape, sizes, px, py, pz):
 
 @njit(cache=True)
 def nearest_region_shape(n, c, point, sizes, px, py, pz):
-    """Among the shapes that form a constraint region, find the shape that is nearest to a world point.
-    The constraint's error follows from the distance to this shape.
+    """Find the shape of a constraint region that is nearest to a world point. Kernels compute the
+    constraint's error from the distance to this shape.
 
     Returns:
         The number of the shape, and the signed distance [m] from the point to this shape.

@@ -40,7 +40,8 @@ EDGE_ON = 1e-6  # [m] distance from the disc's plane at which the sensor does no
 
 
 def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Array, str]:
-    """Evaluate how far the state of a scene is from satisfying a visibility constraint.
+    """Evaluate one constraint at the state of a scene: how far the scene is from satisfying this visibility
+    constraint.
 
     The rule is MoveIt's (kinematic_constraints::VisibilityConstraint::decide).
 
@@ -75,8 +76,8 @@ def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Ar
 
 
 def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, float, float]:
-    """Return the world poses of the sensor and the target of a visibility constraint, with the view angle and
-    the range angle [rad].
+    """Return the quantities for the evaluation of a visibility constraint: the world poses of the sensor and
+    the target, the view angle and the range angle [rad].
     """
     sensor = scene.frame_pose(c.sensor) @ c.T_link_sensor
     target = scene.frame_pose(c.frame) @ c.T_frame_target
@@ -86,8 +87,8 @@ def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, fl
 
 
 def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
-    """Return the links that carry the sensor and the target of a visibility
-    constraint; these links may be inside the view cone.
+    """Return the links that carry the sensor and the target, for the evaluation of a visibility constraint;
+    these links may be inside the view cone.
     """
     return frozenset((scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]))
 

@@ -362,8 +362,8 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
 
 
 def reach_of(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
-    """Bound the motion of a constrained point on a link: return the largest distance (dof,) [m/rad or m/m]
-    that the point can move per unit motion of each joint.
+    """Return, for the constraint manifold, the largest distance (dof,) [m/rad or m/m] that a constrained
+    point on a link can move per unit motion of each joint.
 
     The bounds hold in all configurations.
     """

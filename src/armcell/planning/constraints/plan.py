@@ -130,7 +130,7 @@ class ConstrainedPlanner(NativePlanner):
         )  # fmt: skip
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Shorten `path[:count]`, a path on the constraint manifold, in place.
+        """Shorten the path `path[:count]` that the planner for path constraints has found, in place.
 
         Return the new count, or 0 if a proof fails.
         """
@@ -178,8 +178,8 @@ def time_on_manifold(
     checker: KernelChecker, manifold: ConstraintManifold, waypoints: F64, request: PlanRequest,
     torque: TorqueModel | None = None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Compute the timing of a path (k, n) on the constraint manifold; return None if the timed motion cannot
-    be proven to satisfy the constraints.
+    """Compute the timing of a planned path (k, n) with path constraints; return None if the timed motion
+    cannot be proven to satisfy the constraints.
     """
     names, model = checker.joint_names, checker.model
     velocity = model.limits(names, "velocity") * request.velocity_scaling
@@ -207,8 +207,8 @@ def time_on_manifold(
 
 
 def chords(trajectory: JointTrajectory) -> tuple[F64, F64]:
-    """Approximate a constrained motion by chords (m, n), and bound the deviation (n,) [rad] of the motion
-    from them.
+    """Approximate a planned motion with path constraints by chords (m, n), and bound the deviation (n,) [rad]
+    of the motion from them.
 
     A curve deviates from its chord over a time h by at most h^2 / 8 times its largest acceleration. The
     acceleration of a quintic is a cubic, bounded by the hull of its Bernstein coefficients.
@@ -370,7 +370,9 @@ def _violated(code: ErrorCode, what: str, violations: list[Violation]) -> Outcom
 
 
 def _direct(problem: Problem, manifold: ConstraintManifold) -> F64 | None:
-    """Return the straight line to a goal if it is collision-free and satisfies the path constraints."""
+    """Plan a straight line to a goal: return it if it is collision-free and satisfies the path
+    constraints.
+    """
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])
@@ -387,7 +389,7 @@ def _goals(
     manifold: ConstraintManifold,
     found: tuple[F64, ...],
 ) -> tuple[tuple[F64, ...], list[Violation]]:
-    """Select the goals that satisfy the path constraints of the request.
+    """Select the goals for planning with path constraints: those that satisfy the constraints.
 
     If there are none, project further goal samples onto the constraints; if this fails, return the
     violations.
@@ -404,7 +406,9 @@ def _goals(
 def _moved(
     validated: ValidatedRequest, checker: KernelChecker, manifold: ConstraintManifold
 ) -> Iterator[F64]:
-    """Yield collision-free goals, projected so that they satisfy the path constraints."""
+    """Yield collision-free goals for planning with path constraints, after projecting them so that they
+    satisfy the constraints.
+    """
     scene, request = validated.scene, validated.request
     rng = np.random.default_rng([request.seed, 2])
     low = np.maximum(scene.model.lower[checker.columns], manifold.lower)

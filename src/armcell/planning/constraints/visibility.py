@@ -215,8 +215,8 @@ def _table(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
 
 
 def make_manifold(scene: PlanningScene, group: str, constraints: Constraints) -> ConstraintManifold:
-    """Create the constraint manifold for a set of constraints; it is a `VisibilityManifold` if they contain
-    visibility constraints.
+    """Create the constraint manifold for constraints that may include visibility constraints; it is a
+    `VisibilityManifold` if they do.
 
     Raises:
         InputError: the constraints are invalid, or no planner supports them.

@@ -188,8 +188,8 @@ def diagnose_path_constraints(diagnosis: Diagnosis) -> bool:
 
 
 def diagnose_goal_constraints(diagnosis: Diagnosis, number: int, goal: ConstraintGoal) -> None:
-    """Find the constraint that makes the goal of a failed request unreachable, if the goal is given by
-    constraints.
+    """Diagnose a goal that is given by constraints: find the constraint that makes the goal of the failed
+    request unreachable.
     """
 
     def put(constraints: Constraints):
@@ -200,8 +200,8 @@ def diagnose_goal_constraints(diagnosis: Diagnosis, number: int, goal: Constrain
 
 
 def _blame(diagnosis: Diagnosis, put: Put, whole: Constraints) -> bool:
-    """Find each constraint whose removal makes a failed request succeed, and suggest widening or
-    removing it.
+    """Find the constraints to blame for a failed request: those whose removal makes it succeed. Suggest
+    widening or removing them.
     """
     each = list(_each(whole))
     if len(each) == 1:  # no constraint remains without it

@@ -46,19 +46,21 @@ CLOSE_TO_LIMIT = np.deg2rad(5.0)
 
 
 def change_request(scene: PlanningScene, request: Request, **fields: Any) -> SceneAndRequest:
-    """Apply a suggested change that replaces fields of a planning request."""
+    """Apply a diagnosis's suggestion: replace fields of the planning request."""
     return scene, replace(request, **fields)
 
 
 def change_start(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Apply a suggested change that moves some joints in the start state of a request to other positions."""
+    """Apply a diagnosis's suggestion: move some joints in the start state of the request to other
+    positions.
+    """
     start = scene.state.updated(request.start) if request.start is not None else scene.state
     return scene, replace(request, start=start.updated(state))
 
 
 def change_goal(scene: PlanningScene, request: PlanRequest, number: int, goal: Goal) -> SceneAndRequest:
-    """Replace the goal at index `number` of a planning request, as a diagnosis suggests.
-    If the request has no goal at this index, append the new goal.
+    """Apply a diagnosis's suggestion: replace the goal at index `number` of the planning request. If the
+    request has no goal at this index, append the new goal.
     """
     goals = list(request.goals)
     goals[number : number + 1] = [goal]
@@ -68,7 +70,7 @@ def change_goal(scene: PlanningScene, request: PlanRequest, number: int, goal: G
 def change_waypoints(
     scene: PlanningScene, request: CartesianRequest, waypoints: Sequence[SE3]
 ) -> SceneAndRequest:
-    """Apply a suggested change that replaces the waypoints of a Cartesian request."""
+    """Apply a diagnosis's suggestion: replace the waypoints of the Cartesian request."""
     return scene, replace(request, waypoints=tuple(waypoints))
 
 
@@ -84,27 +86,27 @@ def replace_by_free_motion(scene: PlanningScene, request: CartesianRequest) -> S
 
 
 def remove_objects(scene: PlanningScene, request: Request, names: Sequence[str]) -> SceneAndRequest:
-    """Apply a suggested change that removes objects from the planning scene."""
+    """Apply a diagnosis's suggestion: remove objects from the planning scene."""
     return without(scene, names), request
 
 
 def move_object(scene: PlanningScene, request: Request, name: str, offset: ArrayLike) -> SceneAndRequest:
-    """Apply a suggested change that moves an object in the planning scene by an offset (3,) [m]."""
+    """Apply a diagnosis's suggestion: move an object in the planning scene by an offset (3,) [m]."""
     return moved(scene, name, np.asarray(offset, dtype=float)), request
 
 
 def change_padding(scene: PlanningScene, request: Request, padding: float) -> SceneAndRequest:
-    """Apply a suggested change that reduces the padding of every link to at most `padding` [m]."""
+    """Apply a diagnosis's suggestion: reduce the padding of every link to at most `padding` [m]."""
     return padded(scene, padding), request
 
 
 def allow_contact(scene: PlanningScene, request: Request, a: str, b: str) -> SceneAndRequest:
-    """Apply a suggested change that allows two bodies to touch each other."""
+    """Apply a diagnosis's suggestion: allow two bodies to touch each other."""
     return scene.with_allowed(a, b), request
 
 
 def change_mass(scene: PlanningScene, request: Request, name: str, mass: float) -> SceneAndRequest:
-    """Apply a suggested change that sets the mass [kg] of an attached object."""
+    """Apply a diagnosis's suggestion: set the mass [kg] of an attached object."""
     body = scene.attached[name]
     lighter = replace(body, object=replace(body.object, mass=mass))
     return replace(scene, attached={**scene.attached, name: lighter}), request
@@ -120,20 +122,22 @@ def reset_state(scene: PlanningScene, request: Request, state: JointState) -> Sc
 
 
 def without(scene: PlanningScene, names: Sequence[str]) -> PlanningScene:
-    """Return a copy of the scene without the given objects, for use in a suggested change."""
+    """Return a copy of a diagnosis's scene without the given objects, to test or apply a suggestion."""
     return replace(scene, objects={k: v for k, v in scene.objects.items() if k not in names})
 
 
 def moved(scene: PlanningScene, name: str, offset: np.ndarray) -> PlanningScene:
-    """Return a copy of the scene in which an object is moved by an offset (3,) [m], for use in a suggested
-    change.
+    """Return a copy of a diagnosis's scene in which an object is moved by an offset (3,) [m], to test or
+    apply a suggestion.
     """
     T = scene.objects[name].T_world_object
     return scene.with_object_pose(name, SE3(T.rotation, T.translation + offset))
 
 
 def padded(scene: PlanningScene, most: float) -> PlanningScene:
-    """Return a copy of the scene whose paddings are at most `most` [m], for use in a suggested change."""
+    """Return a copy of a diagnosis's scene whose paddings are at most `most` [m], to test or apply a
+    suggestion.
+    """
     links = {link: min(value, most) for link, value in scene.link_padding.items()}
     return scene.with_padding(min(scene.padding, most), links)
 
@@ -183,8 +187,8 @@ class Diagnosis:
 
     @cached_property
     def checker(self) -> KernelChecker:
-        """Collision checker for the scene in which the failed request starts. If the start state is within
-        the padding, the checker reduces the padding, as the planner does.
+        """Collision checker of a diagnosis, for the scene in which the failed request starts. If the start
+        state is within the padding, the checker reduces the padding, as the planner does.
         """
         checker = KernelChecker(self.start_scene, self.joint_names)
         if np.isfinite(self.start).all() and not checker.touches(self.start):
@@ -192,8 +196,8 @@ class Diagnosis:
         return checker
 
     def nearest_free(self, q: Array) -> Array | None:
-        """Find the collision-free configuration (n,) nearest to q that a diagnosis can suggest, with a small
-        margin if possible.
+        """Find a configuration (n,) that a diagnosis can suggest in place of q: the nearest one that is
+        collision-free, with a small margin if possible.
         """
         lower, upper = self.scene.model.lower[self.columns], self.scene.model.upper[self.columns]
         roomy = self.start_scene.with_padding(
@@ -206,8 +210,8 @@ class Diagnosis:
         return None
 
     def tip_distance(self, a: Array, b: Array) -> float | None:
-        """Return the distance [m] between the tip's positions at two configurations a and b (n,) of the
-        planning group.
+        """Measure for a diagnosis the distance [m] between the tip's positions at two configurations a and b
+        (n,) of the planning group.
 
         Return None if the group has no tip.
         """
@@ -305,7 +309,7 @@ class Diagnosis:
 
 
 def report_limit_margins(diagnosis: Diagnosis) -> None:
-    """Report which joints are close to a limit at the start of a diagnosed request."""
+    """Report in a diagnosis which joints are close to a limit at the start of the failed request."""
     model, q = diagnosis.scene.model, diagnosis.start
     margins = np.minimum(q - model.lower[diagnosis.columns], model.upper[diagnosis.columns] - q)
     diagnosis.data["start_limit_margins"] = dict(zip(diagnosis.joint_names, margins.tolist(), strict=True))
@@ -328,8 +332,8 @@ def report_distance(diagnosis: Diagnosis, what: str, a: Array, b: Array) -> None
 
 
 def wanted_joints(diagnosis: Diagnosis, goal: JointGoal | NamedGoal) -> np.ndarray | None:
-    """Return the joint positions (n,) that a joint goal or named goal of a diagnosed request specifies for
-    the group, even if the positions violate joint limits.
+    """Return, for a diagnosis, the joint positions (n,) that a joint goal or named goal specifies for the
+    group, even if the positions violate joint limits.
 
     Return None for misuse.
     """

@@ -35,13 +35,19 @@ EXPLAINERS: dict[ErrorCode, Callable[[Diagnosis], None]] = {
 
 
 def with_explanation(kind: type) -> Callable[[F], F]:
-    """Decorate the planning function for one kind of request. A failed result then carries a function that
-    runs the diagnosis for this kind of request.
+    """Decorate the planning function for one kind of request. The explanation of a failed result is
+    dispatched, when it is requested, to the diagnosis that fits the failure.
     """
 
     def decorate(solve: F) -> F:
         @wraps(solve)
         def solve_and_keep(scene: PlanningScene, request: Any, *more: Any, **options: Any) -> PlanResult:
+            if not isinstance(scene, PlanningScene) or not isinstance(request, kind):
+                given = f"{type(scene).__name__} and {type(request).__name__}"
+                raise InputError(
+                    f"{solve.__name__}() needs a PlanningScene and a {kind.__name__}, not {given}",
+                    hint="PlanningScene.of(model) is the scene of a robot without objects",
+                )
             result = solve(scene, request, *more, **options)
             if result.ok:
                 return result
@@ -68,7 +74,9 @@ def _explain(scene: PlanningScene, request: Request, result: PlanResult, seconds
 def explain_invalid_request(
     scene: PlanningScene, request: Request, error: InputError, seconds: float = 10.0
 ) -> Explanation:
-    """Explain why a planning function rejected a request as invalid, and suggest corrections."""
+    """Dispatch an invalid request to its diagnosis: explain why the planning function rejected the request,
+    and suggest corrections.
+    """
     diagnosis = Diagnosis(scene, request, missing_result(error), SOLVERS, time.monotonic() + seconds)
     diagnose_invalid_request(diagnosis, error)
     return diagnosis.explanation()

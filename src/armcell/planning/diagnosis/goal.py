@@ -118,7 +118,7 @@ def _contacts_at(diagnosis: Diagnosis, q: np.ndarray) -> None:
 
 
 def _other_ways(diagnosis: Diagnosis, q: np.ndarray) -> None:
-    """Suggest further changes that would free a goal configuration (n,) from contact.
+    """Suggest further changes that free a goal configuration (n,) from contact, to diagnose the goal.
 
     The changes are smaller padding, moved objects and allowed contacts.
     """

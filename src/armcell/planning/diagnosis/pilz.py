@@ -90,8 +90,8 @@ SPARE = 1.02  # safety factor of the suggested slowdown
 def change_blend_radius(
     scene: PlanningScene, sequence: SequenceRequest, number: int, radius: float
 ) -> tuple[PlanningScene, SequenceRequest]:
-    """Apply a suggested change that sets the blend radius [m] at the end of one motion in a failed Pilz
-    sequence.
+    """Apply a suggested change to a failed Pilz sequence: set the blend radius [m] at the end of one
+    motion.
     """
     items = list(sequence.items)
     items[number] = (items[number][0], radius)
@@ -101,7 +101,7 @@ def change_blend_radius(
 def slow_motions(
     scene: PlanningScene, sequence: SequenceRequest, number: int, factor: float
 ) -> tuple[PlanningScene, SequenceRequest]:
-    """Apply a suggested change that slows down two consecutive motions of a Pilz sequence by a factor. The
+    """Apply a suggested change to a failed Pilz sequence: slow down two consecutive motions by a factor. The
     first of them has the index `number`.
     """
     items = list(sequence.items)

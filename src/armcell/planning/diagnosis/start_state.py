@@ -118,7 +118,7 @@ ALIKE = 0.02  # [rad] largest difference of equal positions
 
 def explain_start(measured: JointState, planned: JointState, tolerance: float, code: ErrorCode,
                   message: str, seconds: float = 0.0) -> Explanation:  # fmt: skip
-    """Explain which measured joints differ from the start of a motion and by how much, and what to do about
+    """Explain which measured joints differ from a motion's start state and by how much, and what to do about
     it.
 
     Args:
@@ -154,8 +154,8 @@ def explain_start(measured: JointState, planned: JointState, tolerance: float, c
 
 
 def start_from(scene: PlanningScene, request: PlanRequest, state: JointState) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: set the scene's robot state to the measured state, and remove the
-    invalid start from the request.
+    """Repair the start state of a request, as a diagnosis suggests: set the scene's robot state to the
+    measured state, and remove the invalid start from the request.
     """
     return change_request(scene.with_state(state), request, start=None)
 

@@ -23,8 +23,8 @@ OUTSIDE = IKSettings(seeds=60)
 
 @dataclass(frozen=True, eq=False)
 class IKBranch:
-    """IK solution of a requested pose, with the contacts and joint-limit violations that make the solution
-    invalid.
+    """IK solution examined to explain an unreachable pose, with the contacts and joint-limit violations that
+    make the solution invalid.
 
     Attributes:
         positions: (n,) joint positions of the solution.
@@ -38,12 +38,14 @@ class IKBranch:
 
     @property
     def free(self) -> bool:
-        """Return whether an IK solution of the diagnosed pose is within limits and free of contact."""
+        """Return whether an IK solution of a possibly unreachable pose is within limits and free of
+        contact.
+        """
         return not self.contacts and not self.beyond
 
     def reason(self, model: RobotModel) -> str:
-        """Describe why a joint solution is invalid: by its limit violations, or else by its contacts. Return
-        "free" for a solution without either.
+        """Describe why an IK solution of an unreachable pose is invalid: by its limit violations, or else by
+        its contacts. Return "free" for a solution without either.
         """
         outside = [
             f"{n} {text_format.joint_value(model, n, v)} beyond its limit" for n, v in self.beyond.items()

@@ -63,8 +63,8 @@ STANDING = 1e-8  # [rad/s or m/s] largest start velocity that counts as rest (Mo
 
 @dataclass(frozen=True, eq=False)
 class MotionCommand:
-    """Pilz motion command (PTP, LIN or CIRC), which leads from joint positions (n,) to the goal of the
-    request.
+    """Command from which a Pilz motion (PTP, LIN or CIRC) is generated. It leads from joint positions (n,) to
+    the goal of the request.
     """
 
     validated: ValidatedRequest
@@ -116,8 +116,8 @@ class MotionCommand:
         return None
 
     def tip_profile(self, length: float, angle: float) -> Profile:
-        """Compute the velocity profile of a Pilz motion over the path parameter s (0 to 1), from the length
-        [m] and rotation angle [rad] of its tip path.
+        """Compute the velocity profile with which a Pilz motion is generated, over the path parameter s (0 to
+        1), from the length [m] and rotation angle [rad] of its tip path.
 
         The profile accelerates and brakes the longer of length and angle (scaled by the equivalent radius),
         like KDL's paths, which MoveIt uses.
@@ -148,7 +148,7 @@ Generator = Callable[[MotionCommand], GeneratedMotion | Outcome]
 
 
 def time_curve(curve: Curve, profile: Profile, joint_names: tuple[str, ...]) -> JointTrajectory:
-    """Turn the joint curve of a Pilz motion command into a trajectory, with the timing that a velocity
+    """Generate the trajectory of a Pilz motion command from its joint curve, with the timing that a velocity
     profile defines.
     """
     times = profile.times()
@@ -162,8 +162,8 @@ def time_curve(curve: Curve, profile: Profile, joint_names: tuple[str, ...]) -> 
 
 
 def synchronized_profile(step: F64, velocity: F64, acceleration: F64, deceleration: F64) -> Trapezoid:
-    """Compute the fastest trapezoidal velocity profile that all joints of a PTP motion can share, for joint
-    steps (n,).
+    """Compute the velocity profile with which a PTP motion is generated: the fastest trapezoid that all
+    joints can share, for joint steps (n,).
 
     MoveIt applies the group's strictest limits to every joint. Here each joint has its own limits: if all
     limits are equal, the motion equals MoveIt's; otherwise it is at least as fast.
@@ -283,8 +283,8 @@ def _place(validated: ValidatedRequest, constraint: Any) -> tuple[F64, str | Non
 
 
 def validate_pilz_request(validated: ValidatedRequest) -> None:
-    """Check a request for a PTP, LIN or CIRC motion, and raise an InputError for options that are not
-    supported.
+    """Check a request before its PTP, LIN or CIRC motion is generated, and raise an InputError for options
+    that are not supported.
     """
     request = validated.request
     if request.torque_limits or request.jerk_limits:

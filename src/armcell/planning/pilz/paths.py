@@ -154,13 +154,13 @@ class Curve(Protocol):
     """
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
-        """Compute the joint positions of a Pilz motion at path parameters s (m,) in 0..1, and their first and
+        """Compute the joint positions on a Pilz path at path parameters s (m,) in 0..1, and their first and
         second derivatives with respect to s, each (m, n).
         """
         ...
 
     def polyline(self, sagitta: float) -> tuple[Array, Array]:
-        """Approximate the joint-space curve of a Pilz motion by straight chords between points (k, n) on the
+        """Approximate the joint-space curve of a Pilz path by straight chords between points (k, n) on the
         curve.
 
         Return the points and the largest deviation (n,) of the curve from their chords.
@@ -358,8 +358,8 @@ SPARE = 1.02  # safety factor of the suggested slowdown
 def check_joint_limits(
     model: RobotModel, trajectory: JointTrajectory, request: PlanRequest | None, what: str = ""
 ) -> Outcome | None:
-    """Check whether a PTP, LIN or CIRC motion respects the joint limits. Return None if it does, else the
-    worst joint and the slowdown that would help.
+    """Check whether the motion along a PTP, LIN or CIRC path respects the joint limits. Return None if it
+    does, else the worst joint and the slowdown that would help.
 
     The limits are the joints' own: the request's scalings apply to the tip, as in MoveIt.
 
@@ -410,8 +410,8 @@ PADDING_STEP = 0.03  # [rad] between padding checks
 def prove_motion_free(
     checker: KernelChecker, curve: Curve, moved_frame: MovedFrame | None, what: str
 ) -> Array | Outcome:
-    """Prove that a PTP, LIN or CIRC motion is collision-free, and return its points (k, n).
-    The proof ignores the padding, which is checked only at samples of the motion.
+    """Prove that the path of a PTP, LIN or CIRC motion is collision-free, and return its points (k, n). The
+    proof ignores the padding, which is checked only at samples of the path.
 
     If the motion is not free, return the contact.
     """
@@ -441,8 +441,8 @@ def _between(points: Array, at: float) -> Array:
 
 
 def _first_touching(checker: KernelChecker, points: Array, at: float) -> tuple[float, Array]:
-    """Find the first contact on a PTP, LIN or CIRC motion,
-    given a later point of the motion at which there is a contact.
+    """Find the first contact on the path of a PTP, LIN or CIRC motion, given a later point of the path at
+    which there is a contact.
 
     The certification does not test a motion from its start to its end.
     """

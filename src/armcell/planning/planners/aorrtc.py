@@ -212,8 +212,8 @@ settings_parsers[plan_aorrtc] = settings_parser("AORRTC", AORRTCSettings)
 
 @lru_cache(maxsize=1)
 def warm_up_aorrtc() -> None:
-    """Compile the kernels of AORRTC before their first use, so that compilation does not consume planning
-    time.
+    """Warm up the planner AORRTC: compile its kernels before their first use, so that compilation does not
+    consume planning time.
     """
     checker, a, b = small_problem()
     planner, stop = AORRTCPlanner(NativePlanner(checker)), np.zeros(1, np.int64)

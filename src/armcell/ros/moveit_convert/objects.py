@@ -32,19 +32,27 @@ from armcell.scene import WORLD, CollisionObject, ObjectType
 PRISM = 5  # shape_msgs/SolidPrimitive's type of a prism, only in ROS 2; armcell makes it a mesh
 
 
-def _primitives() -> dict[str, tuple[ShapeKind, SolidPrimitive]]:
-    """Return the shape classes that a shape_msgs/SolidPrimitive message can represent, by shape name."""
-    return _primitives_of(tuple(shapes.imported().items()))
+def _primitives() -> dict[int, tuple[str, ShapeKind | None, SolidPrimitive]]:
+    """Return the shape name, the shape class and the fields of each type number of shape_msgs/SolidPrimitive.
+    A prism has no shape class.
+    """
+    return _primitives_of(tuple(shapes.imported()))
 
 
 @lru_cache(maxsize=2)
-def _primitives_of(kinds: tuple[tuple[str, ShapeKind], ...]) -> dict[str, tuple[ShapeKind, SolidPrimitive]]:
-    return {name: (kind, kind.primitive) for name, kind in kinds if kind.primitive is not None}
+def _primitives_of(names: tuple[str, ...]) -> dict[int, tuple[str, ShapeKind | None, SolidPrimitive]]:
+    found: dict[int, tuple[str, ShapeKind | None, SolidPrimitive]] = {
+        PRISM: ("prism", None, SolidPrimitive(PRISM, ("height",)))
+    }
+    for name in names:
+        if (primitive := shapes[name].primitive) is not None:
+            found[primitive.type] = name, shapes[name], primitive
+    return found
 
 
 def primitive_type(name: str) -> int:
     """Return the type number that shape_msgs/SolidPrimitive assigns to a shape name such as "box"."""
-    return _primitives()[name][1].type
+    return next(number for number, (known, _, _) in _primitives().items() if known == name)
 
 
 def primitive_shape(message: Any) -> Shape:
@@ -53,15 +61,14 @@ def primitive_shape(message: Any) -> Shape:
     Raises:
         InputError: the type is unknown, dimensions are missing, or a dimension is not positive.
     """
-    number, sizes, primitives = int(message.type), [float(v) for v in message.dimensions], _primitives()
-    known = {primitive.type: name for name, (_, primitive) in primitives.items()} | {PRISM: "prism"}
+    number, sizes, known = int(message.type), [float(v) for v in message.dimensions], _primitives()
     if number not in known:
-        names = ", ".join(f"{number} {name}" for number, name in sorted(known.items()))
+        names = ", ".join(f"{number} {name}" for number, (name, _, _) in sorted(known.items()))
         raise InputError(f"solid primitive of type {number}", hint=names)
-    kind, primitive = primitives.get(known[number], (None, SolidPrimitive(PRISM, ("height",))))
+    name, kind, primitive = known[number]
     if len(sizes) < len(primitive.dimensions):
         need = len(primitive.dimensions)
-        raise InputError(f"a {known[number]} has {len(sizes)} dimensions, it needs {need}")
+        raise InputError(f"a {name} has {len(sizes)} dimensions, it needs {need}")
     if kind is None:
         return prism(np.array([(p.x, p.y) for p in message.polygon.points]).reshape(-1, 2), sizes[0])
     by_name = dict(zip(primitive.dimensions, sizes, strict=False))
@@ -93,16 +100,16 @@ def prism(base: NDArray[np.float64], height: float) -> Mesh:
 
 
 def _area(corners: NDArray[np.float64]) -> float:
-    """Return the signed area [m2] of a prism's base polygon (n, 2). The area is positive if the corners are
-    counterclockwise.
+    """Return the signed area [m2] of the base polygon (n, 2) of a shape_msgs prism. The area is positive if
+    the corners are counterclockwise.
     """
     (x, y), (u, v) = corners.T, np.roll(corners, -1, axis=0).T
     return float(np.sum(x * v - u * y)) / 2
 
 
 def _triangles(base: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Triangulate the base polygon (n, 2) of a prism into n - 2 triangles by ear clipping. The corners must
-    be counterclockwise.
+    """Triangulate the base polygon (n, 2) of a shape_msgs prism into n - 2 triangles by ear clipping. The
+    corners must be counterclockwise.
 
     Source: Meisters 1975.
     """
@@ -202,7 +209,7 @@ ADD, REMOVE, APPEND, MOVE = 0, 1, 2, 3  # moveit_msgs/CollisionObject
 
 
 def frame_of(header: Any) -> str:
-    """Return the frame in the header of a collision object, without a leading slash.
+    """Return the frame in the header of a CollisionObject or another MoveIt message, without a leading slash.
     An empty name stands for the world frame.
     """
     return header.frame_id.lstrip("/") or WORLD

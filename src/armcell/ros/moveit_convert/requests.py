@@ -99,7 +99,9 @@ def _orientation(c: Any) -> OrientationConstraint:
 
 
 def _unset(c: Any) -> list[str]:
-    """List the fields of a moveit_msgs/OrientationConstraint message that still have their default values."""
+    """List the fields of a moveit_msgs/OrientationConstraint message in a request that still have their
+    default values.
+    """
     tolerances = (c.absolute_x_axis_tolerance, c.absolute_y_axis_tolerance, c.absolute_z_axis_tolerance)
     return [
         *([] if c.link_name else ["link_name (empty)"]),
@@ -148,7 +150,9 @@ def goal_from_message(message: Any, scene: PlanningScene) -> Goal:
 
 
 def _joint_goal(wanted: Constraints) -> Goal:
-    """Convert joint constraints to a `JointGoal`, or to a `ConstraintGoal` if their tolerances differ."""
+    """Convert the joint constraints in a MoveIt planning request to a `JointGoal`, or to a `ConstraintGoal`
+    if their tolerances differ.
+    """
     tolerances = {t for c in wanted.joints for t in (c.tolerance_above, c.tolerance_below)}
     names = [c.joint for c in wanted.joints]
     if len(tolerances) > 1 or len(set(names)) < len(names):
@@ -158,7 +162,8 @@ def _joint_goal(wanted: Constraints) -> Goal:
 
 
 def _pose_goal(wanted: Constraints, scene: PlanningScene) -> PoseGoal | None:
-    """Convert a position constraint (sphere or cube) and an orientation constraint to one `PoseGoal`.
+    """Convert the position constraint (sphere or cube) and the orientation constraint in a MoveIt planning
+    request to one `PoseGoal`.
 
     Returns None if the constraints have another form.
     """
@@ -245,7 +250,8 @@ def _visibility_message(schema: Schema, c: VisibilityConstraint) -> Any:
 
 
 def error_code_message(schema: Schema, code: ErrorCode | int, message: str = "") -> Any:
-    """Create a moveit_msgs/MoveItErrorCodes message from an error code and a text.
+    """Create the moveit_msgs/MoveItErrorCodes message in the answer to a MoveIt request, from an error code
+    and a text.
 
     Only MoveIt 2 clients receive the text and its source.
     """

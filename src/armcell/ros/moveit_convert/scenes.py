@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from armcell.core import InputError, Octree
+from armcell.core.gc_pauses import gc_paused
 from armcell.ros.convert import pose_from_message, pose_message, transform_message
 from armcell.ros.moveit_convert.objects import (
     ADD,
@@ -71,7 +72,7 @@ class Components(IntFlag):
 
 # --- a message as changes ---
 def object_changes(message: Any, scene: PlanningScene, known: PlanningScene | None = None) -> list[Change]:
-    """Convert a moveit_msgs/CollisionObject message to changes of the planning scene.
+    """Return the planning scene changes that a moveit_msgs/CollisionObject message requests.
 
     Args:
         message: the CollisionObject message.
@@ -111,7 +112,8 @@ def _known(scene: PlanningScene, name: str) -> Any:
 
 
 def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
-    """Convert a CollisionObject message that moves an object to a change of the planning scene.
+    """Return the planning scene change that a moveit_msgs/CollisionObject message with the operation MOVE
+    requests.
 
     Older clients send the new pose as the pose of the object's only shape.
     """
@@ -123,7 +125,7 @@ def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
 
 
 def attached_changes(message: Any, scene: PlanningScene, known: PlanningScene | None = None) -> list[Change]:
-    """Convert a moveit_msgs/AttachedCollisionObject message to changes of the planning scene.
+    """Return the planning scene changes that a moveit_msgs/AttachedCollisionObject message requests.
 
     Args:
         message: the AttachedCollisionObject message.
@@ -151,6 +153,7 @@ def attached_changes(message: Any, scene: PlanningScene, known: PlanningScene | 
     raise InputError(f"attached object {name!r}: operation {operation}", hint="0 add, 1 remove")
 
 
+@gc_paused()
 def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
     """Convert a moveit_msgs/PlanningScene message to a scene diff.
 
@@ -303,8 +306,8 @@ def scene_message(
 
 
 def _octomap_message(schema: Schema, header: Any, item: CollisionObject) -> Any:
-    """Convert the octree of a planning scene to an octomap_msgs/Octomap message in the binary format of
-    OctoMap.
+    """Convert the octree of a planning scene to the octomap in a moveit_msgs/PlanningScene message
+    (octomap_msgs/OctomapWithPose, in the binary format of OctoMap).
 
     The size of the smallest cell becomes the resolution.
     """

@@ -15,7 +15,8 @@ from armcell.scene import AttachedBody, PlanningScene
 
 
 def joint_state_from_message(message: Any, model: RobotModel) -> JointState | None:
-    """Convert a sensor_msgs/JointState message to a joint state. Mimic joints are left out.
+    """Convert a sensor_msgs/JointState message, such as the one in a moveit_msgs/RobotState, to a joint state
+    without the mimic joints.
 
     Returns:
         The joint state, or None if the message names no actuated joint.
@@ -80,7 +81,7 @@ def robot_state_message(schema: Schema, header: Any, scene: PlanningScene, attac
 
 
 def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
-    """Convert a body that is attached to the robot to an AttachedCollisionObject message in the frame of its
+    """Convert an attached body of the robot state to an AttachedCollisionObject message in the frame of its
     link.
     """
     own = schema.new("std_msgs/Header", stamp=header.stamp, frame_id=body.link)
@@ -93,7 +94,7 @@ def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
 
 
 def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory) -> Any:
-    """Convert a trajectory of armcell to a trajectory_msgs/JointTrajectory message.
+    """Convert a trajectory of robot states to a trajectory_msgs/JointTrajectory message.
 
     Velocities and accelerations are included if the trajectory has them.
     """
@@ -115,7 +116,7 @@ def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory)
 
 
 def robot_trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory | None) -> Any:
-    """Convert a trajectory of armcell to a moveit_msgs/RobotTrajectory message. None gives an empty
+    """Convert a trajectory of robot states to a moveit_msgs/RobotTrajectory message. None gives an empty
     message.
     """
     if trajectory is None:

@@ -52,7 +52,7 @@ class CameraPublisher:
             topics.publish(tf)
 
     def frames(self) -> dict[str, int]:
-        """Return how many images of each camera have been published on the bus so far, by camera name."""
+        """Return how many images of each camera have been published on ROS topics so far, by camera name."""
         return {topics.name: topics.delivered for topics in self._cameras}
 
     def close(self) -> None:
@@ -144,7 +144,7 @@ class _Topics:
 
 
 def _with_nan(depth: np.ndarray) -> np.ndarray:
-    """Return the depth image of a camera, with NaN in pixels that have no measurement, as REP 118
-    requires.
+    """Return the depth image that a camera publishes on a ROS topic, with NaN in pixels that have no
+    measurement, as REP 118 requires.
     """
     return np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)

@@ -40,8 +40,8 @@ FALLEN = 0.03  # [m] an object that slipped by more from its grasp has fallen
 
 
 class CellMotions:
-    """Interface through which clients in any thread observe, edit and move a live cell, while `run` executes
-    the motions.
+    """Interface through which ROS clients in any thread request motions of a live cell and edit its scene,
+    while `run` executes the motions.
 
     An object between closed fingers is attached to the hand automatically, no matter which client closed
     them, and returns to the world when the fingers open. Clients need not attach or detach grasped objects in
@@ -74,7 +74,7 @@ class CellMotions:
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step a live cell and execute the motions of its clients until `close`."""
+        """Execute the motions of the cell that clients request, step by step until `close`."""
         try:
             with self.live:
                 self._connected()
@@ -86,7 +86,7 @@ class CellMotions:
             self.conductor.close()
 
     def _connected(self) -> None:
-        """Prepare a newly connected cell before its first step and before the first motion of a client."""
+        """Prepare a newly connected cell for the motions of clients, before the cell's first step."""
 
     def _after_step(self) -> None:
         if self.live.driver.now >= self._next_look:
@@ -95,37 +95,37 @@ class CellMotions:
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
-        """Start a thread that executes the motions of a live cell, and return the thread."""
+        """Start the thread that executes the motions of the cell for its clients, and return the thread."""
         thread = threading.Thread(target=self.run, name=f"cell {self.live.name}", daemon=True)
         thread.start()
         return thread
 
     def close(self) -> None:
-        """Stop the clients' running motions and request that `run` ends."""
+        """Stop the clients' motions of the cell and request that `run` ends."""
         self._stop.set()
         self.conductor.stop()
 
     def say(self, text: str) -> None:
-        """Report the progress of a motion to the clients of the cell."""
+        """Report the progress of a motion of the cell to the clients."""
         logger.info("trajectory: %s", text)
 
     # --- scene and held objects ---
     def scene(self) -> PlanningScene:
-        """Return the measured scene against which clients' motions are checked, including added and held
+        """Return the measured scene in which the motions of the cell are checked, including added and held
         objects.
         """
         return self.conductor.call(self.measure_scene)
 
     def measure_scene(self) -> PlanningScene:
-        """Return the current measured scene of a live cell, including held objects.
-        Only the thread of the driver may call this method.
+        """Return the current measured scene in which the motions of the cell are checked, including held
+        objects. Only the thread of the driver may call this method.
         """
         self.update_held_objects()
         return self.live.ctx.scene()
 
     def update_held_objects(self) -> None:
-        """Update which objects the grippers of a live cell hold. Only the thread of the driver may call this
-        method.
+        """Update which objects the grippers hold during the motions of the cell. Only the thread of the
+        driver may call this method.
         """
         ctx = self.live.ctx
         world = ctx.base
@@ -147,8 +147,8 @@ class CellMotions:
             self._widths[reading.held] = reading.width
 
     def edit_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Replace the cell's scene by `make(scene)`, an edit that a client requests, and return the new
-        scene. Later motions of clients are checked against the new scene.
+        """Replace the scene of the cell by `make(scene)`, an edit that a client requests, and return the new
+        scene. Later motions of the cell are checked in the new scene.
 
         Raises:
             InputError: `make` raised it; the world is unchanged.
@@ -158,7 +158,9 @@ class CellMotions:
         return self.scene()
 
     def held_object(self, gripper: Gripper) -> str | None:
-        """Return the object between the fingers of a gripper in the live cell, or None."""
+        """Return the object between the fingers of a gripper, or None. Motions of the cell carry this object
+        along.
+        """
         return self.conductor.call(lambda: self.live.driver.gripper(gripper.name).held)
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
@@ -174,17 +176,18 @@ class CellMotions:
 
     # --- motions ---
     def motions(self, joints: Iterable[str] | None = None) -> list[MotionHandle]:
-        """Return the waiting and running motions of the cell's clients. If joints are given, return only
-        motions of these joints.
+        """Return the waiting and running motions of the cell, from all clients. If joints are given, return
+        only motions of these joints.
         """
         return self.conductor.motions(joints)
 
     def stop(self) -> None:
-        """Stop all motions in the cell, including motions of other clients."""
+        """Stop all motions of the cell, including motions of other clients."""
         self.conductor.stop()
 
     def drive(self, gripper: Gripper, width: float, force: float) -> MotionHandle:
-        """Start opening or closing a gripper for a client of the cell, and return a handle to this motion.
+        """Queue a motion of the cell that opens or closes a gripper for a client, and return a handle to the
+        motion.
 
         Args:
             gripper: the gripper.
@@ -249,8 +252,8 @@ class CellMotions:
             select_controllers(self.controllers, controllers, joints)
 
     def _restricted(self, driver: Driver, controllers: Sequence[str]) -> Driver:
-        """Return a view of the cell's driver that uses only the named controllers. If no controllers are
-        named, it may use all of them.
+        """Return a view of the cell's driver that executes motions only with the named controllers. Without
+        names, motions may use all controllers.
         """
         return driver
 
@@ -305,7 +308,7 @@ class CellMotions:
         raise InputError("the cell is closed")
 
     def _others(self, work: MotionHandle) -> list[MotionHandle]:
-        """Return the queued and running motions of the cell that share no joint with the motion `work`."""
+        """Return the waiting and running motions of the cell that share no joint with the motion `work`."""
         works = self.conductor.motions()
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
@@ -352,8 +355,8 @@ class CellMotions:
 
 
 class _Announced(GuardedMotion):
-    """Motion of a served cell. `MotionGate` checks this motion for collisions, and the cell's observers are
-    notified when the motion starts.
+    """Motion of the cell that a client has requested. `MotionGate` checks the motion for collisions, and the
+    cell's observers are notified when the motion starts.
     """
 
     def __init__(

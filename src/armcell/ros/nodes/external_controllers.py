@@ -223,8 +223,8 @@ class ExternalControllers:
 
 
 def goal_error(state: JointState, trajectory: JointTrajectory) -> tuple[float, bool]:
-    """Return how far [rad or m] the joints are from the end of a trajectory (the largest error),
-    and whether they are at rest.
+    """Return how far [rad or m] the joints that an external controller moves are from the end of the
+    trajectory (largest error), and whether the joints are at rest.
     """
     state = state.reindexed(trajectory.joint_names)
     error = float(np.max(np.abs(state.positions - trajectory.positions[-1])))

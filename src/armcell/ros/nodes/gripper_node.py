@@ -91,8 +91,8 @@ def gripper_command_steps(
 
 
 def objects_near_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> list[CollisionObject]:
-    """Return the objects near a closing gripper. An object is near if its bounding box, grown by `margin`
-    [m], contains the tcp.
+    """Return the objects near the tcp of a gripper that a ROS client closes. An object is near if its
+    bounding box, grown by `margin` [m], contains the tcp.
     """
     tcp = scene.frame_pose(gripper.tcp_link).translation
     found = []
@@ -105,10 +105,11 @@ def objects_near_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> l
 
 
 def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
-    """Allow contacts between the fingers of a gripper group and an object on which they close.
+    """Return the scene in which a ROS client closes a gripper group: contacts between the gripper's fingers
+    and nearby objects are allowed.
 
     A goal of a gripper group closes the fingers onto the object, so contact at the goal is not a collision.
-    Other groups leave the scene unchanged.
+    For other groups, the scene is unchanged.
     """
     pairs = {
         frozenset((item.name, link)): True
@@ -121,8 +122,8 @@ def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[Gripper, float]]:
-    """Return the gripper commands in a trajectory that moves only fingers:
-    each gripper with its final width [m].
+    """Return the gripper commands in a ROS client's trajectory that moves only fingers: each gripper with its
+    final width [m].
 
     Returns an empty list for any other trajectory.
     """

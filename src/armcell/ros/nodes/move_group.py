@@ -111,7 +111,9 @@ class MoveGroupNode:
         return error_code_message(self.bus.schema, code, message)
 
     def outcome_code(self, outcome: Outcome) -> Any:
-        """Convert the outcome of a motion that move_group executed to MoveItErrorCodes and a reason."""
+        """Return the error code and reason with which the move_group node reports the end of a motion, as a
+        MoveItErrorCodes message.
+        """
         return self.error_code_message(
             outcome.code, outcome.message or ("" if outcome.ok else outcome.code.name)
         )
@@ -121,7 +123,7 @@ class MoveGroupNode:
 
     # --- planning ---
     def plan(self, request: Any, scene: PlanningScene, cancel: threading.Event | None = None) -> PlanResult:
-        """Plan the motion that a client of move_group requests with a MotionPlanRequest message.
+        """Plan the motion that a client of the move_group node requests with a MotionPlanRequest message.
 
         Args:
             request: the MotionPlanRequest message.
@@ -153,7 +155,9 @@ class MoveGroupNode:
         return result
 
     def _tell(self, group: str, result: PlanResult, asked: dict[str, Any]) -> None:
-        """Report a planning result of move_group to the cell's observers, even if it is not executed."""
+        """Report a planning result of the move_group node to the cell's observers, even if the plan is not
+        executed.
+        """
         if result.trajectory is None:
             text = f"planning for {group} failed: {result.code.name}: {result.message}"
             self.cell.queue_event("error", text, evidence={**asked, **result.evidence})
@@ -165,7 +169,8 @@ class MoveGroupNode:
         )  # fmt: skip
 
     def wait_until_idle(self, group: str, cancel: threading.Event | None = None) -> None:
-        """Wait until the planning group that a move_group request names has ended all of its motions.
+        """Wait until the planning group that a request to the move_group node names has ended all of its
+        motions.
 
         A plan that starts from a moving state would be invalid when it is executed.
         """
@@ -183,7 +188,7 @@ class MoveGroupNode:
             works[0].wait(0.05)
 
     def start_scene(self, request: Any, cancel: threading.Event | None = None) -> PlanningScene:
-        """Return the measured scene, which a request to move_group uses as its start.
+        """Return the measured scene in which the move_group node starts a requested motion.
 
         If the request gives no start state, wait until the group has come to rest.
         """
@@ -192,7 +197,9 @@ class MoveGroupNode:
         return self.cell.scene()
 
     def plan_response(self, request: Any, scene: PlanningScene, result: PlanResult) -> Any:
-        """Create a MotionPlanResponse of move_group and publish the motion on display_planned_path."""
+        """Create a MotionPlanResponse of the move_group node and publish its motion on the topic
+        display_planned_path.
+        """
         # If the start state is invalid, the result already states the fault.
         state = self.state_message(_started(scene, request.start_state) if result.ok else scene)
         trajectory = robot_trajectory_message(self.bus.schema, self.header(), result.trajectory)
@@ -392,7 +399,7 @@ class MoveGroupNode:
         self, trajectory: Any, cancel: threading.Event, planned_in: PlanningScene | None = None,
         controllers: Sequence[str] = (),
     ) -> Outcome:  # fmt: skip
-        """Execute a moveit_msgs/RobotTrajectory for move_group and return the outcome.
+        """Execute a moveit_msgs/RobotTrajectory for a client of the move_group node and return the outcome.
 
         The execution also stops if a change of the scene obstructs the rest of the path.
 
@@ -418,7 +425,7 @@ class MoveGroupNode:
 
     @contextmanager
     def cancel_on_stop_event(self, cancel: threading.Event) -> Iterator[None]:
-        """Let a "stop" event cancel the goal of a move_group action during a `with` block.
+        """Let a "stop" event cancel the goal of an action of the move_group node during a `with` block.
 
         The event also cancels the goal before its motion has started.
         """
@@ -451,7 +458,7 @@ SERVICES = {
 
 
 def _started(scene: PlanningScene, message: Any) -> PlanningScene:
-    """Return the start scene of a move_group request, which includes the request's RobotState."""
+    """Return the start scene of a request to the move_group node, which includes the request's RobotState."""
     state = robot_state_from_message(message, scene)
     if state is not None:
         scene = replace(scene, positions=scene.state.updated(state).positions)
@@ -462,6 +469,6 @@ def _started(scene: PlanningScene, message: Any) -> PlanningScene:
 
 
 def _moves(checker: ExactChecker, contact: Any) -> bool:
-    """Return whether the joints in a move_group request can move one of the bodies in contact."""
+    """Return whether the joints in a request to the move_group node can move one of the bodies in contact."""
     moved = {checker.geometries[i].body for pair in checker.pairs for i in pair}
     return contact.body_a in moved or contact.body_b in moved

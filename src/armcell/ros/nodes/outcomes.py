@@ -19,7 +19,9 @@ def wait_for_outcome(work: MotionHandle, cancel: threading.Event) -> Outcome:
 
 
 def goal_state(outcome: Outcome, result: Any) -> ActionOutcome:
-    """Return the final state of a move_group goal: SUCCEEDED, PREEMPTED or ABORTED (any other failure)."""
+    """Convert the outcome of a move_group goal to the final state of the goal: SUCCEEDED, PREEMPTED or
+    ABORTED (any other failure).
+    """
     state = GoalState.SUCCEEDED if outcome.ok else GoalState.ABORTED
     if outcome.code is ErrorCode.PREEMPTED:
         state = GoalState.PREEMPTED
@@ -27,7 +29,7 @@ def goal_state(outcome: Outcome, result: Any) -> ActionOutcome:
 
 
 def request_code(request: Any, error: InputError) -> ErrorCode:
-    """Return the error code with which move_group answers an invalid planning request.
+    """Return the error code that is the outcome of an invalid planning request to move_group.
 
     move_group returns FAILURE for unknown names, except that an unknown group and a missing goal have their
     own codes.
@@ -40,7 +42,8 @@ def request_code(request: Any, error: InputError) -> ErrorCode:
 
 
 def unknown_name_code(error: InputError, otherwise: ErrorCode) -> ErrorCode:
-    """Return the error code of move_group for an unknown name, such as a frame, link or object.
+    """Return the error code that is the outcome of a move_group request with an unknown name, such as the
+    name of a frame, link or object.
 
     Args:
         error: the error.

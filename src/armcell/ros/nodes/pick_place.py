@@ -286,7 +286,7 @@ class PickPlaceNode:
         return None, Outcome(code, summary)
 
     def perform(self, goal: Goal, action: str, solution: PartialSolution) -> Outcome:
-        """Execute the steps of a pick or place plan one after another."""
+        """Execute the steps of the plan for a pickup or place goal one after another."""
         self._node.feedback(goal, action, "MONITOR")
         with self._node.cancel_on_stop_event(goal.cancel):
             return self._steps(goal, solution)

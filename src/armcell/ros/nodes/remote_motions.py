@@ -70,7 +70,7 @@ class RemoteMotions(CellMotions):
 
 
 class _Restricted(DriverProxy):
-    """View of a remote driver that moves the robot only with the named ROS controllers."""
+    """Driver proxy for one of the remote motions. It moves the robot only with the named ROS controllers."""
 
     def __init__(self, driver: Driver, remote: RemoteDriver, controllers: Sequence[str]):
         super().__init__(driver)

@@ -82,7 +82,7 @@ class SceneNode:
             member.close()
 
     def header(self) -> Any:
-        """Return a message header in the frame of the planning scene, which is the world frame."""
+        """Return a message header of the scene node, in the frame of the planning scene (the world frame)."""
         return self._bus.header(WORLD)
 
     def message(self, scene: PlanningScene, parts: Components = Components.ALL) -> Any:
@@ -108,8 +108,8 @@ class SceneNode:
         self._clearing.append(clear)
 
     def schedule_publication(self) -> None:
-        """Schedule the publication of the complete planning scene, after a change that did not come from a
-        client.
+        """Request that the scene node publishes the complete planning scene soon, after a change that did not
+        come from a client.
         """
         self._changed.set()
 
@@ -140,7 +140,7 @@ class SceneNode:
         self._changed.set()
 
     def _tell(self) -> None:
-        """Publish the complete planning scene to clients after each change of the scene.
+        """Publish the complete planning scene on the topics of the scene node after each change of the scene.
 
         Between changes, publish the robot state at 4 Hz while a client subscribes.
         """
@@ -170,7 +170,7 @@ CLOUD, IMAGE = "sensor_msgs/PointCloud2", "sensor_msgs/Image"
 
 
 class OctomapNode:
-    """Node that updates the octomap of the scene with the measurements of 3D sensors on the bus.
+    """ROS node that updates the octomap in the planning scene with the measurements of 3D sensors on the bus.
 
     A message is interpreted in the frame of its header: a frame of the scene, or a frame that /tf or
     /tf_static connects with one. The robot's joint positions are those at the time stamp of the message.
@@ -213,7 +213,9 @@ class OctomapNode:
             member.close()
 
     def clear(self) -> None:
-        """Remove all measurements of 3D sensors from the octomap node's map."""
+        """Remove all measurements of 3D sensors from the octomap that the ROS node adds to the planning
+        scene.
+        """
         with self._lock:
             self._map.clear()
 
@@ -267,8 +269,8 @@ class OctomapNode:
             publisher.publish(cloud_message(self._bus.schema, message.header, left[None].astype(np.float32)))
 
     def _points(self, sensor: Sensor3d, message: Any) -> np.ndarray | None:
-        """Return the points (n, 3) [m] in a 3D sensor's point cloud or depth image,
-        in the frame of the message.
+        """Return the points (n, 3) [m] in a 3D sensor's ROS message (a point cloud or depth image) for the
+        octomap of the planning scene, in the frame of the message.
 
         Raises:
             InputError: the camera info for a depth image has not arrived yet.
@@ -289,7 +291,8 @@ class OctomapNode:
 
     # --- robot state and pose of the sensor ---
     def _scene_at(self, stamp: float) -> PlanningScene:
-        """Return the scene with the joint positions at the time `stamp` [s] of a sensor message.
+        """Return the planning scene with the joint positions at the time `stamp` [s] of a 3D sensor's ROS
+        message.
 
         A stamp of zero selects the newest joint positions.
 
@@ -307,7 +310,8 @@ class OctomapNode:
         return scene.with_positions(scene.state.updated(state).positions)
 
     def _pose(self, scene: PlanningScene, frame: str) -> SE3:
-        """Return the pose T_world_frame of the frame in which a 3D sensor reports its measurements.
+        """Return the pose T_world_frame of the frame of a 3D sensor's ROS message, from the planning scene
+        and the transforms on /tf.
 
         Raises:
             InputError: no transforms connect the frame with a frame of the scene.

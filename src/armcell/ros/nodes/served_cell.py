@@ -98,8 +98,8 @@ class ServedCell:
         return self.thread.ident is not None and not self.over.is_set()
 
     def start(self, poll: float = 0.1, layer: Callable[[str], AbstractContextManager] = nullcontext) -> None:
-        """Connect a live cell and start all its nodes on the message bus. Return when the cell can answer
-        clients.
+        """Start the served cell: connect the live cell and start all its nodes on the message bus. Return
+        when the cell can answer clients.
 
         Args:
             poll: polling period [s] for the cell's thread.
@@ -181,8 +181,8 @@ class ServedCell:
 
 
 class ServedPlanner(ServedCell):
-    """Planner and grasp server for a cell whose simulator or robot runs in another program, which is
-    connected through the ROS message bus.
+    """Planner and grasp server that are served on the ROS message bus for a cell whose simulator or robot
+    runs in another program.
 
     The driver of the cell is a `RemoteDriver`.
     """
@@ -202,8 +202,8 @@ class ServedPlanner(ServedCell):
         return self.driver.has_closed_gripper
 
     def stop_motions(self) -> None:
-        """Stop the motions of a remote cell and wait until they have ended.
-        The cell's simulator or robot runs in another program.
+        """Stop the motions of a served cell whose simulator or robot runs in another program, and wait until
+        the motions have ended.
         """
         works = self.cell.motions()
         self.cell.stop()

@@ -85,7 +85,7 @@ class ArmStatusPublisher:
 
 
 def check_rate(driver: Driver, rate: float) -> None:
-    """Check that the driver measures at least as often as the node publishes joint states.
+    """Check that the driver measures at least as often as the state publisher publishes joint states.
 
     Args:
         driver: the driver.
@@ -159,8 +159,8 @@ class StatePublisher:
             self._members.append(description)
 
     def due(self, now: float) -> bool:
-        """Return whether joint states and transforms must be published at the time `now` [s, driver's
-        clock].
+        """Return whether the state publisher must publish joint states and transforms at the time `now` [s,
+        driver's clock].
         """
         return now >= self._next - 1e-9
 

@@ -147,13 +147,13 @@ class Ros1Graph:
         return self.bridge.wait_settled(timeout)
 
     def say(self, level: str, text: str) -> None:
-        """Publish a log line on /rosout of the ROS 1 graph. A level that ROS does not know becomes `info`."""
+        """Publish a log line to the ROS 1 graph. A level that ROS does not know becomes `info`."""
         if self.rosout is not None:
             self.rosout.say(level if level in LEVELS else "info", text)
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the addresses on which the ROS 1 node and the built-in master listen. They are valid after
-        `start`.
+        """Return the addresses on which this program listens in the ROS 1 graph, for its node and its
+        built-in master. They are valid after `start`.
         """
         return (*(self.master.endpoints() if self.master else ()), *self.node.endpoints())
 

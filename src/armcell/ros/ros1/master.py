@@ -141,8 +141,8 @@ class Ros1Master:
 
     @staticmethod
     def _key(value: Any, caller: str) -> str:
-        """Return the full name of a parameter on the ROS 1 master. The parts of the name may contain any
-        character.
+        """Resolve the name of a parameter in a call to the ROS 1 master to its full name. The parts of the
+        name may contain any character.
         """
         if not isinstance(value, str) or not value:
             raise xmlrpc.InvalidArgument("ERROR: parameter [key] must be a non-empty string")
@@ -332,7 +332,8 @@ class Ros1Master:
 
 
 def _copied(value: Any) -> Any:
-    """Copy the nested dicts of parameters, because the ROS 1 master modifies its parameters in place.
+    """Copy the nested dicts of parameters that the ROS 1 master returns, because the master modifies its
+    parameters in place.
 
     Only copies may leave the master's lock.
     """

@@ -152,7 +152,7 @@ class Ros1Node:
 
     # --- topics ---
     def publish(self, topic: str, type_name: str, attach: Attach, latching: Callable[[], bool]) -> None:
-        """Advertise a topic that the ROS 1 node publishes."""
+        """Let the ROS 1 node publish a topic, and advertise the topic at the master."""
         s = self.settings
         made = Publication(
             topic, type_name, self.schema, self.name, self._reactor, attach, latching, s.queue, s.queue_bytes
@@ -207,7 +207,7 @@ class Ros1Node:
 
     # --- services ---
     def serve(self, name: str, type_name: str, answer: Answerer) -> None:
-        """Advertise a service that the ROS 1 node serves."""
+        """Let the ROS 1 node serve a service, and advertise the service at the master."""
         made = ServedService(name, type_name, self.schema, self.name, answer, self.settings.max_message)
         with self._lock:
             self._services[name] = made
@@ -230,7 +230,8 @@ class Ros1Node:
         return uri if isinstance(uri, str) and uri and uri != self.service_uri else None
 
     def call_service(self, name: str, type_name: str, request: Any) -> Any:
-        """Call a service of another ROS 1 node and return the response. The call waits without a time limit.
+        """Let the ROS 1 node call a service of another node and return the response. The call waits without a
+        time limit.
 
         Raises:
             ServiceError: no node serves it, its type differs, or it reports a failure.
@@ -242,7 +243,7 @@ class Ros1Node:
             return connection.call(request)
 
     def service(self, name: str, type_name: str) -> Any:
-        """Open a persistent connection to a service of another ROS 1 node.
+        """Open a persistent connection from the ROS 1 node to a service of another node.
 
         Returns:
             A `Connection` with `call(request)` and `close()`.
@@ -255,7 +256,7 @@ class Ros1Node:
         return self._caller.connect(name, uri, type_name, persistent=True)
 
     def service_type(self, name: str) -> str:
-        """Return the type of a service that another ROS 1 node serves.
+        """Let the ROS 1 node ask another node for the type of a service, and return the type.
 
         Raises:
             ServiceError: no node serves it, or its node does not answer.

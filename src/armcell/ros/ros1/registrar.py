@@ -73,8 +73,8 @@ class Registrar:
             self._changed.notify_all()
 
     def update_publishers(self, topic: str, uris: list[str]) -> None:
-        """Handle a publisherUpdate call.
-        With this call, the ROS 1 master reports the current publishers of a topic.
+        """Pass on the current publishers of a topic, which the ROS 1 master reports (publisherUpdate) after
+        publishers have been registered or unregistered.
         """
         with self._telling:
             if topic == self._asking:
@@ -188,8 +188,8 @@ class Registrar:
         return call_method(self.master, f"{verb}{entry.kind.value}", *arguments, timeout=timeout)
 
     def _check(self) -> None:
-        """Ask the ROS 1 master whether it still knows this node.
-        A master that was restarted has lost all registrations.
+        """Check at the ROS 1 master whether the node is still registered. A master that was restarted has
+        lost all registrations.
         """
         try:
             known = call_method(self.master, "lookupNode", self._caller, self._caller, timeout=self._timeout)

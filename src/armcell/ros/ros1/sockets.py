@@ -37,14 +37,17 @@ Fields = dict[str, str]
 
 
 def encode_header(fields: Mapping[str, str]) -> bytes:
-    """Encode the connection header of TCPROS as bytes. The result includes the length prefix."""
+    """Encode a TCPROS connection header as the bytes to send over a ROS 1 socket. The result includes the
+    length prefix.
+    """
     lines = [f"{key}={value}".encode() for key, value in sorted(fields.items())]
     body = b"".join(LENGTH.pack(len(line)) + line for line in lines)
     return LENGTH.pack(len(body)) + body
 
 
 def decode_header(body: bytes) -> Fields:
-    """Parse a TCPROS connection header, given without its length prefix, and return its fields.
+    """Parse a TCPROS connection header that was read from a ROS 1 socket, without its length prefix, and
+    return its fields.
 
     Raises:
         WireError: the bytes are not a valid header.

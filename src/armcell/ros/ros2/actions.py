@@ -40,7 +40,7 @@ RUNNING = {
 
 
 class ServedGoal:
-    """ServedGoal that a ROS 2 client has sent to an action of the bus."""
+    """Goal that a ROS 2 client has sent to an action of the bus."""
 
     def __init__(self, uuid: bytes, stamp: Any):
         self.uuid, self.stamp = uuid, stamp

@@ -263,8 +263,8 @@ class Ros2Bridge:
         context.announcer.announce()
 
     def _try(self, name: str, table: dict[str, Any], make: Any, type_name: str, *more: Any) -> None:
-        """Start forwarding a topic between the bus and ROS 2.
-        If this fails, the reason is reported only once.
+        """Let the bridge start forwarding a topic between the bus and ROS 2. If this fails, the bridge
+        reports the reason only once.
         """
         if (name, type_name) in self._refused:
             return
@@ -327,10 +327,10 @@ class Ros2Bridge:
 
 
 def _is_of_action(info: TopicInfo, acting: Mapping[str, str]) -> bool:
-    """Return whether a topic of the bus belongs to an action. On the bus, as in ROS 1, an action has five
-    topics, which ROS 2 does not use.
+    """Return whether a topic of the bus belongs to an action, so that the bridge must not forward the topic
+    to ROS 2.
 
-    The bridge does not forward these topics, because ROS 2 transports actions differently.
+    On the bus, as in ROS 1, an action has five topics. ROS 2 transports actions differently.
     """
     base, _, part = info.name.rpartition("/")
     if base not in acting:

@@ -33,8 +33,8 @@ _MISSING: Any = object()
 
 
 def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
-    """Return all message definitions of a ROS 2 distribution by `pkg/Name`, including the messages of its
-    actions.
+    """Return the message definitions that the ROS 2 codec of a distribution uses, by `pkg/Name`, including
+    the messages of its actions.
 
     Raises:
         UnknownNameError: the distribution does not exist.
@@ -47,7 +47,8 @@ def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
 
 
 def _action_messages(action: str) -> dict[str, Definition]:
-    """Return the messages that ROS 2's rosidl derives from the definition of an action.
+    """Return the messages of an action that the ROS 2 codec encodes, as ROS 2's rosidl derives them from the
+    definition of the action.
 
     Source: design.ros2.org/articles/actions.html.
     """
@@ -135,7 +136,7 @@ class Ros2Codec:
         self._store.get_msgdef(rosbags_name(name))
 
     def type_hash(self, name: str, kind: str = "msg") -> str | None:
-        """Return the REP 2016 type hash of a ROS 2 message, service or action, as the codec computes it.
+        """Return the type hash (REP 2016) of a ROS 2 message, service or action in the schema of the codec.
 
         Returns:
             The hash, or None for distributions without type hashes.
@@ -281,8 +282,8 @@ def ros2_codec(schema: Schema, distro: str) -> Ros2Codec:
 
 
 class Types:
-    """Thread-safe cache of the IDL types with which `cyclonedds` describes messages.
-    Each type is built on first use.
+    """Thread-safe cache of the IDL types that `cyclonedds` needs for the messages of a ROS 2 codec. Each type
+    is built on first use.
     """
 
     def __init__(self, codec: Ros2Codec):
@@ -292,7 +293,7 @@ class Types:
         self._topics: dict[tuple[str, str], Any] = {}
 
     def of(self, name: DdsName) -> Any:
-        """Return the IDL type with which `cyclonedds` describes the message of a topic.
+        """Return the IDL type that `cyclonedds` needs for the ROS 2 codec's message of a topic.
 
         Raises:
             InputError: DDS has no type for one of the fields.

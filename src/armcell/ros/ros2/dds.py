@@ -262,9 +262,10 @@ class Participant:
         return Reader(self, DdsName("", "", ""), handle, self._watch(handle, take))
 
     def _type_hash(self, name: DdsName) -> bytes:
-        """Return the user data with which a DDS endpoint announces the type hash (REP 2016) of its topic.
+        """Return the DDS user data with which a writer or reader announces the type hash (REP 2016) of its
+        topic.
 
-        rmw warns about every endpoint without a type hash.
+        rmw warns about every DDS endpoint without a type hash.
         """
         found = self.codec.type_hash(name.message)
         return f"typehash={found};".encode() if found else b""

@@ -33,8 +33,8 @@ LOCALHOST."""
 
 
 def _has_network() -> bool:
-    """Return whether this machine has a network interface through which ROS 2 discovery can find nodes on
-    other machines.
+    """Return whether a ROS 2 domain can extend to other machines: whether this machine has a network
+    interface for discovery.
 
     The test sends no packets.
     """
@@ -65,7 +65,7 @@ class DomainScope:
 
     @property
     def is_open(self) -> bool:
-        """Return whether ROS 2 nodes on other machines can discover this process."""
+        """Return whether this domain scope lets ROS 2 nodes on other machines discover this process."""
         return self.range in ("SUBNET", "SYSTEM_DEFAULT") or (bool(self.peers) and self.range == "LOCALHOST")
 
     def xml(self) -> str:

@@ -133,7 +133,7 @@ def profile_of(qos: Any) -> QosProfile:
 
 
 def user_values(qos: Any) -> dict[str, str]:
-    """Parse the `key=value;` pairs that ROS 2 stores in the user data of an endpoint."""
+    """Parse the `key=value;` pairs that ROS 2 stores in the QoS policy "user data" of an endpoint."""
     policy = _policy(qos, "Userdata")
     text: str = policy.data.decode("latin-1") if policy is not None else ""
     pairs = [part.partition("=") for part in text.split(";")]

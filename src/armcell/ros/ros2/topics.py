@@ -37,7 +37,7 @@ class OutgoingTopic:
         self.update_subscription()
 
     def update_subscription(self) -> None:
-        """Subscribe to the topic on the bus, but only while ROS 2 nodes need its messages.
+        """Subscribe to the outgoing topic on the bus, but only while ROS 2 nodes need its messages.
 
         Messages that are expensive to produce (images, point clouds, TF) are needed only while the domain has
         a reader for them.
@@ -55,8 +55,8 @@ class OutgoingTopic:
         self._context.drop(self._writer)
 
     def _put(self, message: Any) -> None:
-        """Send a message from the bus to the ROS 2 domain without blocking.
-        If the writer's queue is full, the message is dropped.
+        """Send a message of the outgoing topic from the bus to the ROS 2 domain without blocking. If the
+        writer's queue is full, the message is dropped.
 
         The method runs in the publisher's thread.
         """
@@ -75,7 +75,9 @@ class OutgoingTopic:
             context.has_dropped()
 
     def check_qos(self) -> None:
-        """Report the ROS 2 subscribers that cannot receive a topic of the bus, each with the reason."""
+        """Report the ROS 2 subscribers that cannot receive an outgoing topic of the bus, each with the
+        reason.
+        """
         others = self._context.graph.endpoints(self._writer.name.topic, writes=False)
         _check_types(self._context, self.topic, self._writer.name, [e.type for e in others])
         same = [e for e in others if e.type == self._writer.name.type]
@@ -104,7 +106,7 @@ class IncomingTopic:
         self._reader = self._read()
 
     def _wanted(self) -> QosProfile:
-        """Return the QoS profile that the bridge requests when it subscribes to a ROS 2 topic.
+        """Return the QoS profile with which the bridge subscribes to an incoming ROS 2 topic.
 
         The result is the configured profile, or else the profile that all known publishers offer.
         """
@@ -132,7 +134,7 @@ class IncomingTopic:
                 context.complain(f"decode {self.topic}", f"{self.topic}: {error}")
 
     def check_qos(self) -> None:
-        """Adapt the QoS of the bridge's subscription to a ROS 2 topic so that it matches the topic's
+        """Adapt the QoS with which the bridge subscribes to an incoming topic to the topic's ROS 2
         publishers, and report incompatible publishers.
         """
         context = self._context

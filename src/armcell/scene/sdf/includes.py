@@ -21,7 +21,7 @@ ABOVE = 4  # number of folders above a file that are searched for sibling models
 
 
 class ResourceFinder:
-    """Finder for the model and mesh files to which the URIs in an SDF file refer.
+    """Finder of the model and mesh files that an SDF file includes by URI.
 
     The search covers the given folders, Gazebo's search path and the folders around the file.
     """
@@ -48,7 +48,8 @@ class ResourceFinder:
                 yield folder / inner if inner else folder
 
     def find(self, uri: str, base: Path, asked_by: Element) -> Path:
-        """Return the existing file or folder that a URI in an SDF file refers to.
+        """Return the existing file or folder to which a URI refers, with which an SDF file includes a model
+        or mesh.
 
         Args:
             uri: model://, package://, file:// or a path. Of a web address, only the model's name is used.

@@ -55,7 +55,7 @@ class _Frame:
 
 @dataclass
 class Scope:
-    """Named frames of one SDF world or model. Each has a pose relative to another frame."""
+    """Named frames of one SDF model or of the SDF world. Each frame has a pose relative to another frame."""
 
     frames: dict[str, _Frame] = field(default_factory=dict)
     inner: dict[str, Scope] = field(default_factory=dict)  # nested models
@@ -66,8 +66,8 @@ class Scope:
         self, element: Element, name: str, default: str = "", pose: Element | None = None,
         T_pose_frame: SE3 | None = None,
     ) -> None:  # fmt: skip
-        """Register a named frame of an SDF world or model. A link, a joint, a nested model or a <frame>
-        element of this world or model defines the frame.
+        """Register a named frame of an SDF model. A link, a joint, a nested model or a <frame> element of the
+        model (or world) defines the frame.
 
         Args:
             element: the element, for error messages.
@@ -87,8 +87,8 @@ class Scope:
         )
 
     def pose(self, name: str, asked_by: Element, depth: int = 0) -> SE3:
-        """Return the pose of an SDF frame, such as `model::link`, relative to the world or model that
-        contains it.
+        """Return the pose of an SDF frame, such as `model::link`, relative to the model (or world) that
+        contains the frame.
 
         Args:
             name: name of the frame.
@@ -115,7 +115,7 @@ class Scope:
         return T
 
     def relative(self, pose: Element | None, base: str, asked_by: Element) -> SE3:
-        """Return the pose in an SDF <pose> element relative to the frame `base`.
+        """Return the pose in a <pose> element of an SDF model, relative to the frame `base`.
 
         The <pose> may itself name another frame with `relative_to`; by default it is relative to `base`.
         """
@@ -172,7 +172,7 @@ class ModelReader:
                 self.notes.append(skipped(entry, "is not converted"))
 
     def models_in(self, parent: Element, scope: Scope, depth: int = 0) -> Iterator[Model]:
-        """Yield the models in an SDF world or model, including those of its <include>s, and add their frames
+        """Yield the models in an SDF model or world, including those of its <include>s, and add their frames
         to the named frames.
 
         Raises:
@@ -276,14 +276,14 @@ class ModelReader:
 
 
 def add_frames(parent: Element, scope: Scope) -> None:
-    """Add the <frame> elements of an SDF world or model to its named frames."""
+    """Add the <frame> elements of an SDF model (or world) to its named frames."""
     for frame in children(parent, "frame"):
         scope.add(frame, name_of(frame), frame.get("attached_to", ""), child(frame, "pose"))
 
 
 def saved_poses(world: Element) -> dict[str, SE3]:
-    """Return the world poses that Gazebo Classic saved in a <state> of an SDF file. The keys are the names of
-    models (MODEL) and of links (MODEL::LINK).
+    """Return the world poses of models that Gazebo Classic saved in a <state> of an SDF file. The keys are
+    the names of models (MODEL) and of links (MODEL::LINK).
     """
     poses: dict[str, SE3] = {}
     for state in children(world, "state")[:1]:

@@ -53,8 +53,8 @@ class SdfCollision:
 
 
 def geometry_of(element: Element, library: ResourceFinder) -> tuple[Shape, SE3] | SkippedElement:
-    """Convert the shape of an SDF <collision> or <visual> element.
-    Return the shape and its pose in the element's frame.
+    """Convert the geometry of an SDF <collision> or <visual> element to a solid: return its shape and its
+    pose in the element's frame.
 
     Returns:
         (shape, T_element_shape), or a `SkippedElement` note if the shape is not converted.
@@ -126,7 +126,8 @@ _READERS: dict[str, Callable[[Element, ResourceFinder], tuple[Shape, SE3] | Skip
 
 
 def friction_of(collision: Element) -> tuple[tuple[float, float] | None, SkippedElement | None]:
-    """Return the friction (static, dynamic) of an SDF <collision> element, and a note on approximations.
+    """Return the friction (static, dynamic) of the solid in an SDF <collision> element, and a note on
+    approximations.
 
     SDF has one coefficient per direction (ODE's mu and mu2, or Bullet's); armcell uses the smaller one.
     Drake's extension has a static and a dynamic coefficient.
@@ -162,8 +163,8 @@ def _coefficient(element: Element) -> float:
 
 
 def material_of(solids: list[SdfCollision]) -> tuple[Material, bool]:
-    """Combine the materials of an object's SDF <collision> elements into one material. Return the material,
-    and True if the elements' materials differ.
+    """Combine the materials of the SDF solids of one object. Return the combined material, and True if the
+    solids' materials differ.
 
     If they differ, the smallest static and dynamic friction apply.
     """
@@ -175,7 +176,8 @@ def material_of(solids: list[SdfCollision]) -> tuple[Material, bool]:
 
 
 def mass_of(link: Element, solids: list[SdfCollision]) -> float:
-    """Return the mass [kg] of an SDF link from its <inertial> element. Without this element the mass is 1 kg.
+    """Return the total mass [kg] of an SDF link's solids, from the link's <inertial> element. Without this
+    element, the mass is 1 kg.
 
     Raises:
         InputError: the mass is not positive.
@@ -194,7 +196,7 @@ def mass_of(link: Element, solids: list[SdfCollision]) -> float:
 
 
 def color_of(link: Element) -> Color | None:
-    """Return the color of an SDF link, which is the color of its first colored <visual>.
+    """Return the color of the solids of an SDF link, which is the color of the link's first colored <visual>.
     Textures are ignored.
     """
     for visual in children(link, "visual"):

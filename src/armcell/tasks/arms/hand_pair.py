@@ -91,8 +91,8 @@ class HandPair:
         self.hold: PairHold | None = None
 
     def other(self, group: str) -> str:
-        """Return the planning group of the partner arm: the arm that carries the object together with the arm
-        `group`.
+        """Return the partner of an arm in a hand pair: the planning group of the arm that carries the object
+        together with the arm `group`.
         """
         return next(g for g in self.groups if g != group)
 
@@ -105,9 +105,7 @@ class HandPair:
         return self._tcp_poses(full)
 
     def measured_tcp_poses(self) -> dict[str, SE3]:
-        """Return the measured TCP poses T_world_tcp of the two hands that handle one object together, by arm
-        group.
-        """
+        """Return the measured TCP poses T_world_tcp of both hands of a pair, by arm group."""
         return self._tcp_poses(self.ctx.driver.joint_state().positions)
 
     def _tcp_poses(self, q: Array) -> dict[str, SE3]:
@@ -181,9 +179,7 @@ class HandPair:
         correct: Callable | None = None, watch: Callable | None = None,
         evidence: Mapping[str, Any] = MappingProxyType({}), planned_in: PlanningScene | None = None,
     ) -> Outcome:  # fmt: skip
-        """Execute a synchronized trajectory of the two arms that handle one object together, as one stage of
-        a task.
-        """
+        """Execute a synchronized trajectory of both arms of a hand pair as one stage of a task."""
         report = report or StageReport(name, "cartesian")
         return play(
             self.ctx, trajectory.reindexed(self.names), report, correct, watch, evidence, self._touching,

@@ -55,7 +55,9 @@ class CycleTimes:
 
 @dataclass(frozen=True, eq=False)
 class TourSegment:
-    """Segment of an arm's tour: one motion between two joint positions (n,), followed by work at its end."""
+    """Segment of the tour in which an arm handles its objects in a given order: one motion between two joint
+    positions (n,), followed by work at its end.
+    """
 
     motion: float  # [s]
     work: float = 0.0  # [s]
@@ -118,8 +120,8 @@ class TourEstimator:
         ), there
 
     def _motions(self, item: str, q: F64) -> tuple[float, F64, F64] | None:
-        """Estimate the motions with which an arm carries one object. Return the time [s] to reach the object,
-        and the joint positions (n,) above the object and above its destination.
+        """Estimate, to compare object orders, the motions with which an arm carries one object. Return the
+        time [s] to reach the object, and the joint positions (n,) above the object and above its destination.
         """
         s, pose = self.settings, self.scene.object(item).T_world_object
         near = self._reaching.nearest_first(pose, self._grasps[item], q, s.free)
@@ -130,7 +132,9 @@ class TourEstimator:
         return None if there is None else (near[0].seconds, near[0].q, there)
 
     def _on_zone(self, item: str) -> SE3:
-        """Return the pose of an object in the world after an arm has placed it in its zone."""
+        """Return the pose that an object is expected to have in the world after an arm has placed it in its
+        zone, to compare object orders.
+        """
         body, zone = self.scene.object(item), self.scene.object(self.zone[item])
         try:
             return place_candidates(body, zone)[0].T_world_object
@@ -235,7 +239,8 @@ def _changed(order: Order) -> Iterator[Order]:
 
 
 def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
-    """Compute when each arm executes each segment of its tour, if only one arm at a time may reserve a zone.
+    """Compute for given object orders when each arm executes each segment of its tour, if only one arm at a
+    time may reserve a zone.
 
     An arm waits at the start of a segment until its zone is free. The arm that requests a zone first gets it.
 
@@ -292,8 +297,9 @@ class ConflictCache:
     def conflict_section(
         self, arm: int, segment: TourSegment, other_arm: int, other: TourSegment
     ) -> tuple[float, float] | None:
-        """Return the section of one arm's motion in which it comes too close to another arm at work. Return
-        None if the arms keep their clearance or the motion of either arm is unknown.
+        """Return, to compare object orders, the section of one arm's motion in which it comes too close to
+        another arm at work. Return None if the arms keep their clearance or the motion of either arm is
+        unknown.
 
         The section is a pair of fractions (0..1) of the motion. `detours` tests whether the arm passes this
         section while the other arm works.

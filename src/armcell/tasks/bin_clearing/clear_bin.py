@@ -111,7 +111,9 @@ class _BinClearing:
     def run(
         self, regions: Sequence[tuple[Look, WorkRegion]], look_at_tray: Look, tray: WorkRegion
     ) -> Outcome:
-        """Clear the work regions of a bin one after the other, and put their objects into the tray."""
+        """Clear a bin: pick the objects in its work regions, one region after the other, and put them into
+        the tray.
+        """
         ctx, s, counts = self.ctx, self.settings, self.counts
         while True:
             if ctx.cancel.is_set():
@@ -230,7 +232,7 @@ class _BinClearing:
 
 
 class _PickFromHeap(Pick):
-    """Pick of one unknown object from the heap in a bin. A camera locates the objects.
+    """Pick of one unknown object from the heap while a bin is cleared. A camera locates the objects.
 
     After a failure, `clear_bin` takes a new image.
     """
@@ -266,7 +268,7 @@ class _PickFromHeap(Pick):
         return solution, outcome
 
     def _candidates(self) -> list[HeapGrasp]:
-        """Return candidate grasps of the visible objects in a bin.
+        """Return candidate grasps of the visible objects for the next pick of bin clearing.
 
         If there are none, the candidates near walls with a smaller margin around the hand are returned.
         """
@@ -294,8 +296,8 @@ class _PickFromHeap(Pick):
 
 
 def _closer(settings: TopDownGraspSettings, times: int) -> TopDownGraspSettings:
-    """Return grasp settings for objects near walls and for flat objects: a smaller margin,
-    more orientations, grasps at corners, and grasps of lower edges.
+    """Return grasp settings with which bin clearing picks flat objects and objects near walls: a smaller
+    margin, more orientations, grasps at corners, and grasps of lower edges.
     """
     return replace(
         settings,

@@ -36,8 +36,8 @@ class GripperTranslation:
     minimum: float = 0.0  # [m] shorter motions fail; 0: only the full translation succeeds
 
     def accepted(self, result: PlanResult) -> PlanResult:
-        """Return the result of planning this straight approach or retreat. If the motion covers at least the
-        minimum distance, mark the result as a success.
+        """Return the result of planning the straight approach or retreat of an explicit grasp. If the motion
+        covers at least the minimum distance, mark the result as a success.
         """
         done = result.fraction * float(np.linalg.norm(self.desired))
         if result.trajectory is not None and 0 < self.minimum <= done + 1e-6:

@@ -1,10 +1,10 @@
-"""Grasps and placements for arms with fewer than six joints, rotated to poses that the arm reaches.
+"""Grasps and placements for arms with few independent joints, rotated to poses that the arm reaches.
 
-Such an arm reaches only some orientations at a position. A rotation about an object's axis of symmetry
-changes nothing between hand and object. A rotation about the vertical turns the hand against the object's
-sides, or the placed object on its support. An arm with five joints reaches a pose if one such rotation is
-free. An arm with fewer joints may also pitch the hand about the closing axis and tilt it slightly, because a
-measured pose is never exactly among the poses that the arm reaches.
+With fewer than six independent joints, an arm reaches only some orientations at a position. A rotation about
+an object's axis of symmetry changes nothing between hand and object. A rotation about the vertical turns the
+hand against the object's sides, or the placed object on its support. An arm with five joints reaches a pose
+if one such rotation is free. An arm with fewer joints may also pitch the hand about the closing axis and tilt
+it slightly, because a measured pose is never exactly among the poses that the arm reaches.
 """
 
 from __future__ import annotations
@@ -41,10 +41,15 @@ PITCHES = np.deg2rad([15.0, 30.0, 45.0]).tolist()  # [rad] of rotated grasps, ab
 
 
 def has_few_joints(model: RobotModel, gripper: Gripper) -> bool:
-    """Return whether the arm of a gripper has fewer than six joints, so that it reaches only some
+    """Return whether the arm of a gripper has fewer than six independent joints, so that it reaches only some
     orientations at a position.
     """
-    return len(model.group(gripper.arm_group).joint_names) < POSE_JOINTS
+    return independent_joints(model, gripper) < POSE_JOINTS
+
+
+def independent_joints(model: RobotModel, gripper: Gripper) -> int:
+    """Return the number of independent joints of a gripper's arm; those of a telescope count as one."""
+    return ik_solver(model, gripper.arm_group, gripper.tcp_link).independent_joints
 
 
 # --- grasps ---
@@ -119,10 +124,10 @@ def grasps_in_reach(
 
 
 def _lacks_two(scene: PlanningScene, gripper: Gripper) -> bool:
-    """Return whether an arm has fewer than five joints. Even if a pose may rotate freely about one axis, such
-    an arm does not reach every pose.
+    """Return whether an arm has fewer than five independent joints. Even if a pose may rotate freely about
+    one axis, such an arm does not reach every pose.
     """
-    return len(scene.model.group(gripper.arm_group).joint_names) < POSE_JOINTS - 1
+    return independent_joints(scene.model, gripper) < POSE_JOINTS - 1
 
 
 def _families(

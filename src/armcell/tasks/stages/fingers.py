@@ -46,8 +46,8 @@ class MoveGripper:
 
 
 def opened_in_transit(scene: PlanningScene, steps: Sequence[Step]) -> tuple[Step, ...]:
-    """Return the steps of a task with every gripper motion directly before an arm motion executed during this
-    arm motion, if no finger touches anything meanwhile.
+    """Let fingers move in transit: return the steps of a task such that each gripper motion directly before
+    an arm motion is executed during this arm motion, if no finger touches anything meanwhile.
 
     Args:
         scene: at the start of the steps, with the present finger positions.

@@ -192,8 +192,8 @@ class ChooseGrasp:
     def _proven(
         self, solution: PartialSolution, planning: SearchState, item: CollisionObject, grasps: list[Grasp]
     ) -> tuple[list[Grasp], dict[str, GraspProof]]:
-        """Return the reachable grasps for a pick, each with its proof of
-        success in the physics simulation, best first.
+        """Return, for the stage that chooses a grasp, the reachable grasps with their proofs of success in
+        the physics simulation, best first.
 
         The order is by P(success) x reachability / time.
         """
@@ -363,8 +363,8 @@ class LiftCheck:
 
 
 def _turned(proof: GraspProof) -> Iterator[Grasp]:
-    """Yield the grasp that results if the object rotates between the finger pads, once for each direction of
-    rotation.
+    """Yield, for the stage that chooses a grasp, the grasp after the object has rotated between the finger
+    pads: one grasp for each direction of rotation.
 
     The angle is the median rotation of the object in the simulated trials of this grasp.
     """

@@ -174,8 +174,8 @@ class MoveStraight:
 
 
 def _ends_in_contact(scene: PlanningScene, result: PlanResult) -> bool:
-    """Return whether a motion ends in a state that the next motion cannot start from, because contacts are
-    allowed only during the motion: an open hand may still surround the object.
+    """Return whether the motion of a move stage ends in a state from which the next motion cannot start,
+    because contacts are allowed only during the motion: an open hand may still surround the object.
     """
     assert result.trajectory is not None
     end = result.trajectory.end
@@ -206,8 +206,8 @@ def plan_straight(scene: PlanningScene, group: str, link: str, target: SE3, spee
 def plan_within_reach(
     over: Callable[[float], PlanResult], distance: float, least: float, around_obstacles: bool = False
 ) -> PlanResult:
-    """Plan a straight motion over a distance [m]. If the arm cannot move that far, plan a motion nearly as
-    far as the arm can move. If this motion fails, plan a motion over the distance `least`.
+    """Plan the straight move of a stage over a distance [m]. If the arm cannot move that far, plan a motion
+    nearly as far as the arm can move. If this motion fails, plan a motion over the distance `least`.
 
     Args:
         over: plans the motion over a given length [m].

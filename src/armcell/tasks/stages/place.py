@@ -23,7 +23,12 @@ from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
-from armcell.tasks.stages.few_joints import TILT, has_few_joints, placements_in_reach
+from armcell.tasks.stages.few_joints import (
+    TILT,
+    has_few_joints,
+    independent_joints,
+    placements_in_reach,
+)
 from armcell.tasks.stages.grasp import finger_state, reachable
 from armcell.tasks.stages.moves import plan_straight, plan_within_reach
 from armcell.tasks.steps import (
@@ -97,7 +102,7 @@ class ChoosePlacement:
         item, support = scene.object(self.object), scene.object(self.support)
         for other, released, angle in placements_in_reach(scene, self.gripper, item, support, placement):
             if self.among and abs(angle) > TILT:
-                joints = len(scene.model.group(self.gripper.arm_group).joint_names)
+                joints = independent_joints(scene.model, self.gripper)
                 text = f"with {joints} joints, in reach only with the object turned by"
                 planning.reject(self.name, placement.name, f"{text} {np.rad2deg(angle):.0f} deg")
                 continue

@@ -17,8 +17,8 @@ def task(cell):
         return f"{color_of(cube)}_tray"
 
     def target(cube):
-        """Return the support on which a cube is placed first: the tray of the cube's color, or the mat if the
-        arm on the cube's side cannot reach that tray.
+        """Return the support on which one of the three UR5 arms places a cube first: the tray of the cube's
+        color, or the mat if the arm on the cube's side cannot reach that tray.
         """
         return tray_of(cube) if owner(cube) in TRAYS[color_of(cube)] else "mat"
 

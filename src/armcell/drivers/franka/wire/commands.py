@@ -229,7 +229,7 @@ class MoveRequest:
 
     @classmethod
     def unpack(cls, payload: bytes, protocol: Protocol = NEWEST) -> MoveRequest:
-        """Decode a Move request.
+        """Decode Franka's Move command.
 
         Raises:
             ValueError: a mode is not known.

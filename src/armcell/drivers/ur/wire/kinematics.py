@@ -41,7 +41,9 @@ def _frames_of(dh: Kinematics, q: bytes) -> F64:
 
 @njit("void(f8[::1], f8[:,::1], f8[:,:,::1])", cache=True)
 def _chain(angles, dh, frames):
-    """Write T_base_i (7, 4, 4) of the DH frames of a UR arm to `frames`. `dh` (3, 6) are a, d and alpha."""
+    """Compute the DH kinematics of a UR arm: write the frames T_base_i (7, 4, 4) to `frames`. `dh` (3, 6) are
+    a, d and alpha.
+    """
     frames[:] = np.eye(4)
     step = np.eye(4)
     for i in range(6):
@@ -154,7 +156,7 @@ def _rotation(R: F64) -> F64:
 
 
 class ArmDynamics:
-    """Rigid-body dynamics of one UR arm with its payload.
+    """Rigid-body dynamics of one UR arm with its payload, computed from the arm's DH kinematics.
 
     Args:
         payload: mass [kg] at the flange.
@@ -167,8 +169,8 @@ class ArmDynamics:
         self._centers = np.vstack((model.link_centers, np.asarray(cog, dtype=float)))
 
     def _jacobians(self, q: F64) -> F64:
-        """Return the Jacobians (7, 3, 6) of the link masses and the payload in the base frame,
-        for the dynamics of a UR arm.
+        """Return the Jacobians (7, 3, 6) of the link masses and the payload in the base frame, from the DH
+        kinematics of a UR arm.
         """
         frames = frames_of(self._dh, q)
         axes, origins = frames[:6, :3, 2], frames[:6, :3, 3]
@@ -179,14 +181,15 @@ class ArmDynamics:
         return (J * np.vstack((moved_by, np.ones(6)))[:, :, None]).transpose(0, 2, 1)
 
     def mass_matrix(self, q: ArrayLike) -> F64:
-        """Return the mass matrix (6, 6) [kg m^2] in the dynamics of a
-        UR arm at joint positions q (6,) [rad].
+        """Return the mass matrix (6, 6) [kg m^2] of a UR arm at joint positions q (6,) [rad], from the arm's
+        DH kinematics and link masses.
         """
         J = self._jacobians(np.asarray(q, dtype=float))
         return np.einsum("n,nki,nkj->ij", self._masses, J, J) + ROTOR * np.eye(6)
 
     def velocity_torques(self, q: ArrayLike, v: ArrayLike) -> F64:
-        """Return the Coriolis and centrifugal torques (6,) [Nm] in the dynamics of a UR arm.
+        """Return the Coriolis and centrifugal torques (6,) [Nm] of a UR arm, from the arm's DH kinematics and
+        link masses.
 
         The sum of m J^T (dJ/dt) v over the point masses, at positions q (6,) [rad] and speeds v (6,) [rad/s].
         """
@@ -197,13 +200,15 @@ class ArmDynamics:
 
 
 def tool_jacobian(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> F64:
-    """Return the geometric Jacobian (6, 6) of the TCP in the base frame, for the dynamics of a UR arm."""
+    """Return the geometric Jacobian (6, 6) of the TCP in the base frame, from the DH kinematics of a UR
+    arm.
+    """
     return jacobian(dh, q, forward(dh, q, tcp)[:3, 3])
 
 
 def jacobian_rate(dh: Kinematics, q: ArrayLike, v: ArrayLike, tcp: ArrayLike) -> F64:
-    """Return the rate of change (6, 6) of the TCP Jacobian for the
-    dynamics of a UR arm at joint speeds v (6,) [rad/s].
+    """Return the rate of change (6, 6) of the TCP Jacobian at joint speeds v (6,) [rad/s], from the DH
+    kinematics of a UR arm.
     """
     q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
     return (tool_jacobian(dh, q + v * STEP, tcp) - tool_jacobian(dh, q - v * STEP, tcp)) / (2.0 * STEP)

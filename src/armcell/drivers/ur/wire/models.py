@@ -34,13 +34,12 @@ class UrModel:
 
     @property
     def frequency(self) -> float:
-        """Return the frequency [Hz] at which the control loop and RTDE of a UR model run."""
+        """Return the frequency [Hz] of the control loop and RTDE of a UR model."""
         return 500.0 if self.e_series else 125.0
 
     @property
     def version(self) -> tuple[int, int, int, int]:
-        """Return the controller software version of a UR model as four numbers, for emulating this
-        controller.
+        """Return the controller software version of a UR model as four numbers.
 
         The numbers are major, minor, bugfix and build.
         """

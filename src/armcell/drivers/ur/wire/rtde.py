@@ -98,7 +98,9 @@ INPUTS: dict[str, str] = {
 
 
 class RtdeError(ArmcellError):
-    """Error for received data that is not RTDE, or for an RTDE request that the other side refused."""
+    """Error for received data that violates the RTDE wire protocol, or for an RTDE request that the other
+    side refused.
+    """
 
 
 def frame(kind: int, payload: bytes = b"") -> bytes:
@@ -163,7 +165,7 @@ class Recipe:
 
 
 def split_names(text: bytes) -> list[str]:
-    """Split the comma-separated list of variable names in an RTDE message from a client.
+    """Split the comma-separated list of variable names in a message of the RTDE wire protocol.
 
     A trailing comma, as ur_rtde sends it, is ignored.
     """
@@ -171,7 +173,7 @@ def split_names(text: bytes) -> list[str]:
 
 
 def message_text(payload: bytes) -> str:
-    """Return the text in a message of an RTDE client, prefixed with its source.
+    """Decode the text in a text message of the RTDE wire protocol, prefixed with its source.
 
     Layout: uint8 length, text, uint8 length, source, uint8 level.
 

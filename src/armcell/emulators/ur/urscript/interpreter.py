@@ -50,7 +50,7 @@ MAX_TURNS = 20_000  # largest number of loop iterations between two control step
 
 
 class Vec(list):
-    """URScript value that is a list with item-by-item arithmetic."""
+    """URScript value in the interpreter that is a list with item-by-item arithmetic."""
 
     def _by_item(self, other: Any, act: Callable[[Any, Any], Any]) -> Vec:
         if isinstance(other, list):
@@ -84,14 +84,14 @@ class Vec(list):
 
 
 class Pose(Vec):
-    """URScript value for a pose p[x, y, z, rx, ry, rz],
-    which consists of a position [m] and a rotation vector [rad].
+    """URScript value in the interpreter for a pose p[x, y, z, rx, ry, rz], which consists of a position [m]
+    and a rotation vector [rad].
     """
 
 
 def copy_value(value: Any) -> Any:
-    """Copy a value for assignment to a URScript variable. Lists and poses are copied; other values are
-    returned unchanged.
+    """Copy a value that the interpreter assigns to a URScript variable. Lists and poses are copied; other
+    values are returned unchanged.
     """
     if isinstance(value, Vec):
         return type(value)(copy_value(v) for v in value)
@@ -114,8 +114,8 @@ class _Scope:
 def compile_script(
     statements: list[Node], blocking: Iterable[str], instant: Mapping[str, Callable[..., Any]]
 ) -> CodeType:
-    """Compile the syntax tree of a URScript text to Python code that
-    defines a generator `main(G, F, B, I, M)`.
+    """Compile the syntax tree of a URScript text for the interpreter: to Python code that defines a generator
+    `main(G, F, B, I, M)`.
 
     Args:
         blocking: names of functions that take time, called as `B[name](...)`.
@@ -147,8 +147,8 @@ class _Compiler:
         self._lines.append("  " * depth + text)
 
     def _find(self, statements: list[Node], top: bool) -> None:
-        """Collect the global names in a URScript text for the compiler:
-        those declared as global, or assigned in the body.
+        """Collect the global names in a URScript text for the interpreter's compiler: those declared as
+        global, or assigned in the body.
         """
         for node in statements:
             if node[0] == "assign" and node[1][0] == "name" and (node[3] == "global" or top):
@@ -308,7 +308,7 @@ def _not_found(name: str, place: tuple[int, int]) -> ScriptError:
 
 
 class ProgramError(ArmcellError):
-    """Runtime error in the URScript machine, which stops the program.
+    """Runtime error in the URScript interpreter, which stops the program.
 
     Attributes:
         line: line in the script's text, from 1.
@@ -328,7 +328,7 @@ def _takes_time(name: str, *_: Any, **__: Any) -> Thread:
 
 
 class Machine:
-    """Machine that runs a compiled URScript program with its threads and variables.
+    """Interpreter machine that runs a compiled URScript program with its threads and variables.
 
     If the script consists of a single function definition without parameters, that function is the program
     (as on UR's controllers); otherwise the statements of the script are.
@@ -364,7 +364,7 @@ class Machine:
         self._next, self.running = 2, True
 
     def step(self) -> None:
-        """Run every thread of the program in the URScript machine up to its next control step.
+        """Run every thread of the program in the URScript interpreter up to its next control step.
 
         Raises:
             ProgramError: a runtime error, with its line.

@@ -25,8 +25,8 @@ PICK, PLACE = "moveit_msgs/Pickup", "moveit_msgs/Place"
 
 
 def kind_of(value: Any) -> str:
-    """Return the type name of a ROS message without its package, e.g. "PoseStamped", or an empty string if
-    the value is not a message.
+    """Return the type name, e.g. "PoseStamped", of a ROS message that is passed to a moveit_commander group,
+    or an empty string if the value is not a message.
     """
     return getattr(value, "_type", "").split("/")[-1]
 
@@ -82,8 +82,8 @@ class GroupInfo:
         return self._name
 
     def stop(self) -> None:
-        """Stop all motions, including those of other groups. moveit_commander does the same,
-        because MoveIt's stop event ends every motion.
+        """Stop all motions, those of this moveit_commander group and of other groups. The reason is that
+        MoveIt's stop event ends every motion.
         """
         bus = self._session.bus
         with bus.advertise("/trajectory_execution_event", "std_msgs/String") as publisher:

@@ -13,7 +13,8 @@ CUBE, SPHERE, CYLINDER, TRIANGLES = 1, 2, 3, 11  # visualization_msgs/Marker
 
 
 def markers(session: Session, scene: PlanningScene, links: Any) -> Any:
-    """Return marker messages that show the collision geometry of links at their poses, like moveit_commander.
+    """Return markers (visualization messages) that show the collision geometry of links at their poses, like
+    moveit_commander.
 
     Shapes without a marker type (cones) are omitted.
     """

@@ -49,7 +49,7 @@ class RobotCommander:
             return values[self._name] if self.variable_count() else []
 
         def move(self, position: Any, wait: bool = True) -> bool:
-            """Move only this joint of the robot to a position, as RobotCommander's class `Joint` does. The
+            """Move only this joint to a position, as the class `Joint` of MoveIt's RobotCommander does. The
             planning group that owns the joint plans the motion.
             """
             group = self._robot.get_default_owner_group(self._name)
@@ -90,8 +90,8 @@ class RobotCommander:
         return WORLD
 
     def get_robot_markers(self, *args: Any) -> Any:
-        """Return a MarkerArray of the robot's collision geometry at the current joint positions. Replaces the
-        method of MoveIt's RobotCommander.
+        """Return a MarkerArray of the robot's collision geometry at the current joint positions, like
+        MoveIt's RobotCommander.
         """
         session, scene = current_session(), measured_scene()
         wanted = args[0] if args and isinstance(args[0], list | tuple) else list(scene.model.links)

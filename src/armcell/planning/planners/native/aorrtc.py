@@ -82,8 +82,8 @@ def _apart(a, i, b, k, dof):
 
 @inner_njit
 def _to_go(roots, dof, first, last, q, at):
-    """Return the distance from configuration q[at:] to the nearest root of a search tree. AORRTC uses it as
-    an estimate of the remaining cost.
+    """Return, in the AORRTC kernel, the distance from configuration q[at:] to the nearest root of a search
+    tree. It is an estimate of the remaining cost.
     """
     least = 1e300
     for r in range(first, last):
@@ -93,7 +93,9 @@ def _to_go(roots, dof, first, last, q, at):
 
 @inner_njit
 def _in_ellipsoid(ask, dof, goal, q, at, axis):
-    """Sample uniformly from the ellipsoid that contains all paths cheaper than the cost bound of AORRTC."""
+    """Sample uniformly, in the AORRTC kernel, from the ellipsoid that contains all paths cheaper than the
+    cost bound.
+    """
     roots, bound, random = ask.roots, ask.bound, ask.random
     length = _apart(roots, 0, roots, goal * dof, dof)
     norm = 0.0
@@ -120,8 +122,8 @@ def _in_ellipsoid(ask, dof, goal, q, at, axis):
 
 @inner_njit
 def _sample(ask, dof, q, at, axis):
-    """Sample a configuration that lies on some path cheaper than the
-    cost bound of AORRTC, and write it to q[at:].
+    """Sample a configuration in the AORRTC kernel that lies on some path cheaper than the cost bound, and
+    write it to q[at:].
 
     Return False if no sample was found.
     """

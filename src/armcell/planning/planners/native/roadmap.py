@@ -76,7 +76,8 @@ class Search(NamedTuple):
 
 @inner_njit
 def _nearest_vertices(g, dof, q, at, k):
-    """Find the k vertices of a PRM roadmap nearest to the configuration q[at:], sorted by distance.
+    """Find the k vertices of a roadmap nearest to the configuration q[at:], sorted by distance, in the PRM
+    kernel.
 
     Write their numbers to g.ids and their squared distances to g.near. Return the count.
     """
@@ -121,8 +122,8 @@ def _link(g, a, b, length, stamp):
 
 @inner_njit
 def _add(g, dof, q, at, stamp):
-    """Add a collision-free configuration as a vertex to a PRM roadmap, and connect it with its nearest
-    vertices.
+    """Add a collision-free configuration as a vertex to a roadmap, and connect it with its nearest vertices,
+    in the PRM kernel.
 
     Return the number of the vertex (-1: the roadmap is full).
     """
@@ -156,8 +157,8 @@ def _not_free(k, lanes):
 
 @njit(cache=True, nogil=True)
 def recheck(handle, no_room, g, stamp, stop):
-    """Check every vertex of a PRM roadmap for collisions in the current scene, and mark it with a stamp:
-    positive if it is collision-free, else negative.
+    """Check every vertex of a roadmap for collisions in the current scene, in the PRM kernel, and mark it
+    with a stamp: positive if it is collision-free, else negative.
 
     no_room: zeros (dof,).
     """
@@ -207,8 +208,8 @@ def grow(handle, no_room, g, stamp, samples, block, blocks, stop):
 
 @njit(cache=True, nogil=True)
 def insert(g, stamp, path, numbers, joined):
-    """Add the collision-free rows of a path (m, dof) as vertices to a PRM roadmap, and write the vertices'
-    numbers to `numbers`.
+    """Add the collision-free rows of a path (m, dof) as vertices to a roadmap, in the PRM kernel, and write
+    the vertices' numbers to `numbers`.
 
     Args:
         joined: whether the path's edges are also known to be free.
@@ -272,7 +273,8 @@ def _to_go(nodes, dof, v, goals, room):
 
 @inner_njit
 def _shortest(g, dof, stamp, start, goals, s, stop):
-    """Find a shortest path on a PRM roadmap to a goal by A*. Return the goal, or -1 if there is no path.
+    """Find a shortest path on a roadmap to a goal by A*, in the PRM kernel. Return the goal, or -1 if there
+    is no path.
 
     Only edges that are known to be blocked are excluded.
     """

@@ -58,8 +58,8 @@ def closest_at(dof: int) -> int:
 
 @njit(cache=True)
 def kronecker_steps(dof, out):
-    """Compute the steps of Roberts' R sequence, a low-discrepancy sequence from which RRT-Connect takes its
-    samples.
+    """Compute the steps of Roberts' R sequence, a low-discrepancy sequence from which the RRT-Connect kernel
+    takes its samples.
 
     The steps are powers of the root of 1/x^(d+1) = 1/x + 1. u + k * step modulo 1 is as even as Halton's
     points, at the cost of an addition.
@@ -109,7 +109,7 @@ class Samples(NamedTuple):
 
 @inner_njit
 def next_sample(s, dof, q, at):
-    """Draw the next sample for RRT-Connect or PRM, and write it to q[at:]."""
+    """Draw the next sample in the kernel of RRT-Connect or PRM, and write it to q[at:]."""
     for j in range(dof):
         u = s.last[j] + s.steps[j]
         s.last[j] = u - 1.0 if u >= 1.0 else u
@@ -118,8 +118,8 @@ def next_sample(s, dof, q, at):
 
 @inner_njit
 def begin_search(t, query, dof, space, found):
-    """Begin an RRT-Connect search: make the start the root of tree 0 and the goals the roots of tree 1, and
-    initialize the scratch array `space`.
+    """Begin the search in the RRT-Connect kernel: make the start the root of tree 0 and the goals the roots
+    of tree 1, and initialize the scratch array `space`.
 
     `space` holds the steps of the low-discrepancy sample sequence, the last sample, and the distance of the
     closest approach between the trees.
@@ -136,8 +136,8 @@ def begin_search(t, query, dof, space, found):
 
 @inner_njit
 def write_path(t, query, dof, found, row, path):
-    """Write the waypoints of the path that RRT-Connect found to the array `path` (m, dof), and return their
-    number. The first and last waypoints are the exact start and goal.
+    """Write the waypoints of the path that the RRT-Connect kernel found to the array `path` (m, dof), and
+    return their number. The first and last waypoints are the exact start and goal.
 
     `row` is scratch memory of dof numbers.
     """

@@ -81,8 +81,8 @@ def new_trees(dims: int, capacity: int) -> Trees:
 
 @njit(cache=True)
 def most_leaves(capacity):
-    """Return the largest number of leaves that the nearest-neighbor search needs for a tree of `capacity`
-    nodes.
+    """Return the largest number of leaves that a search tree of `capacity` nodes needs for nearest-neighbor
+    search.
 
     Each leaf holds at least half of L nodes.
     """
@@ -91,7 +91,7 @@ def most_leaves(capacity):
 
 @inner_njit
 def tree_pointers(trees):
-    """Convert the arrays of two search trees to pointers."""
+    """Convert the arrays of two native search trees to pointers."""
     return Trees(
         pointer(trees.nodes), pointer(trees.parents), pointer(trees.radii), pointer(trees.leaves),
         pointer(trees.leaf_ints), pointer(trees.lanes), trees.capacity, trees.dims,
@@ -100,7 +100,9 @@ def tree_pointers(trees):
 
 @inner_njit
 def remove_nodes(t):
-    """Clear the nearest-neighbor index of both search trees by emptying its leaves."""
+    """Remove the nodes of both native search trees from the index of nearest neighbors by emptying its
+    leaves.
+    """
     size = SIZES + most_leaves(t.capacity) * (L + 1) + t.capacity
     for tree in range(2):
         t.leaf_ints[tree * size + JOINED] = t.leaf_ints[tree * size + LEAVES] = 0
@@ -108,7 +110,7 @@ def remove_nodes(t):
 
 @inner_njit(forceinline=True)
 def put(nodes, dof, i, q, at):
-    """Store configuration q[at : at + dof] as node i in the node array of a search tree.
+    """Store configuration q[at : at + dof] as node i in the node array of a native search tree.
 
     Write nodes in ascending order. The rest of a new block is set far away.
     """
@@ -130,8 +132,8 @@ def get(nodes, dof, i, q, at):
 
 @inner_njit
 def nearest(nodes, dof, first, count, q, at, lanes):
-    """Find the node of a search tree nearest to configuration q[at : at + dof], by a linear scan of `count`
-    nodes from node `first` on. Return its index relative to `first`.
+    """Find the node of a native search tree nearest to configuration q[at : at + dof], by a linear scan of
+    `count` nodes from node `first` on. Return its index relative to `first`.
 
     `first` is a multiple of L.
 
@@ -156,8 +158,8 @@ def nearest(nodes, dof, first, count, q, at, lanes):
 
 @inner_njit(forceinline=True)
 def add(t, node, q, at, parent, radius):
-    """Store configuration q[at : at + dims] as node `node` of the search trees' arrays, with its parent and
-    radius.
+    """Store configuration q[at : at + dims] as node `node` in the arrays of the native search trees, with its
+    parent and radius.
     """
     put(t.nodes, t.dims, node, q, at)
     t.parents[node], t.radii[node] = parent, radius
@@ -165,8 +167,8 @@ def add(t, node, q, at, parent, radius):
 
 @inner_njit
 def next_tree(tree, n0, n1):
-    """Choose the search tree to extend next: the two trees take turns, but a tree is extended again while the
-    other tree has at least twice as many nodes.
+    """Choose the native search tree to extend next: the two trees take turns, but a tree is extended again
+    while the other tree has at least twice as many nodes.
 
     Args:
         tree: the tree that was extended last. n0, n1: nodes of both trees.
@@ -181,8 +183,8 @@ def next_tree(tree, n0, n1):
 
 @inner_njit
 def trace(t, i, k, dof, row, path, most):
-    """Write the path that connects the two search trees to `path`: from the root of tree 0 to its node i,
-    then from node k of tree 1 to the root of tree 1.
+    """Write the path that connects the two native search trees to `path`: from the root of tree 0 to its node
+    i, then from node k of tree 1 to the root of tree 1.
 
     Args:
         row: scratch, as many numbers as a node has coordinates. path: rows of the first dof coordinates, at
