@@ -115,9 +115,9 @@ def _with(data: dict[str, Any], kind: str) -> dict[str, Any]:
 
 
 def _passes(folder: Path) -> bool:
-    if not all(passed for passed, _, _ in findings(str(folder))):
-        return False
     cell = load(folder)
+    if not all(passed for passed, _, _ in findings(cell)):
+        return False
     try:
         with cell.connect("fake", seed=None) as live:
             return bool(run_task(cell, live, None, "fake")["success"])

@@ -66,7 +66,7 @@ def test_wrong_entries_are_named(tmp_path, camera, text):
 def test_check_tells_what_a_camera_is_and_sees(tmp_path):
     def said(camera: str) -> tuple[bool, str]:
         cell(tmp_path, camera)
-        return next((ok, text) for ok, what, text in findings(str(tmp_path)) if what == "camera eye")
+        return next((ok, text) for ok, what, text in findings(load(tmp_path)) if what == "camera eye")
 
     ok, text = said("{eye: [1, 0, 1], target: [0.5, 0, 0], depth: false}")
     assert ok and "no depth" in text and "sees cube" in text

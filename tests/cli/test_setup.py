@@ -14,7 +14,10 @@ from tests.model.test_setup_cups import two_cups
 from tests.model.test_setup_gripper import jaw_parts
 
 from armcell.cell.pictures import AXES, CLOSING, PAD
+from armcell.cell.setup import propose
+from armcell.cli.setup import STEPS
 from armcell.model import SuctionGripper, load_robot
+from armcell.model.setup import UrdfPart
 
 QUICK = ("--samples", "500")
 
@@ -224,3 +227,12 @@ def test_suction_cups_are_asked_for_and_shown(capsys, tmp_path, monkeypatch):
     assert [(c.link, c.radius, c.stroke) for c in gripper.cups] == [
         ("left_cup", 0.02, 0.002), ("right_cup", 0.02, 0.002)
     ]  # fmt: skip
+
+
+def test_every_step_has_its_part_of_the_progress_bar(tmp_path):
+    told = []
+    propose([UrdfPart(small_arm(tmp_path))], samples=200, progress=lambda *at: told.append(at))
+    assert list(dict.fromkeys(step for step, _ in told)) == list(STEPS)[:-1]
+    ends = [STEPS[step][0] + done * (STEPS[step][1] - STEPS[step][0]) for step, done in told]
+    assert ends == sorted(ends) and all(0 <= done <= 1 for _, done in told)
+    assert [first for first, _ in STEPS.values()] == [0.0, *(last for _, last in STEPS.values())][:-1]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armcell.collision.kernel.cover import _greedy, depths, interior_points, small_triangles, triangulated
+from armcell.collision.kernel.cover import _greedy, interior_points, small_triangles, triangulated
+from armcell.collision.kernel.triangle_tree import TriangleTree, distances
 from armcell.core import Box, Cone, Cylinder
 
 OVERSHOOT = 0.01
@@ -23,17 +24,16 @@ def chosen_plainly(elements, centers, reach2):
 
 
 @pytest.mark.parametrize("shape", [Box(0.12, 0.09, 0.05), Cylinder(0.04, 0.08), Cone(0.05, 0.1)])
-@pytest.mark.parametrize("size", [0.004, 0.02, 1.0])
-def test_balls_are_those_of_the_plain_greedy_choice(shape, size):
+def test_balls_are_those_of_the_plain_greedy_choice(shape):
     vertices, faces, _ = triangulated(shape)
     skin = small_triangles(vertices, faces, 0.7 * OVERSHOOT)
     inside = interior_points(vertices, faces, 0.8 * OVERSHOOT)
     elements = np.concatenate([skin, np.repeat(inside[:, None, :], 3, axis=1)])
     # Balls at the surface, and one outside of everything: it contains no element.
     centers = np.concatenate([inside, skin.mean(axis=1)[::40], [[9.0, 9.0, 9.0]]])
-    depth = np.concatenate([depths(inside, skin), np.zeros(len(centers) - len(inside))])
+    depth = np.concatenate([distances(inside, TriangleTree.of(skin)), np.zeros(len(centers) - len(inside))])
     reach2 = (depth + OVERSHOOT) ** 2
-    balls, held = _greedy(np.ascontiguousarray(elements.reshape(-1, 9).T), centers, reach2, size)
+    balls, held = _greedy(elements, centers, reach2)
     expected, expected_held = chosen_plainly(elements, centers, reach2)
     assert balls.tolist() == expected
     assert np.array_equal(held, expected_held)

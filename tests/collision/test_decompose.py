@@ -187,15 +187,23 @@ def test_a_piece_without_surface_has_no_depth():
     assert piece.depth == 0.0
 
 
+def area(part: convex_decomposition.MeshPart) -> float:
+    a, b, c = (part.points[part.triangles[:, k]] for k in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
 @pytest.mark.parametrize("name", SOLIDS)
 def test_no_cut_saves_more_than_its_bound(name):
-    triangles = SOLIDS[name].vertices[SOLIDS[name].faces]
-    low, high = triangles.min((0, 1)), triangles.max((0, 1))
+    part = convex_decomposition.MeshPart(SOLIDS[name].vertices, SOLIDS[name].faces)
+    low, high = part.points.min(0), part.points.max(0)
     planes = low[:, None] + np.linspace(0.2, 0.8, 4) * (high - low)[:, None]
-    whole = ConvexHull(triangles.reshape(-1, 3)).volume
-    bounds = convex_decomposition._largest_savings(triangles, planes, whole)
+    whole = part.hull_volume
+    bounds = convex_decomposition._largest_savings(part, planes, whole)
     for axis in range(3):
         for k, at in enumerate(planes[axis]):
-            halves = [convex_decomposition._clip(triangles, axis, at, side) for side in (1.0, -1.0)]
-            saving = whole - sum(ConvexHull(half.reshape(-1, 3)).volume for half in halves)
+            halves = [part.clipped(axis, at, side) for side in (1.0, -1.0)]
+            assert sum(area(half) for half in halves) == pytest.approx(area(part))
+            for half in halves:
+                assert np.array_equal(np.unique(half.triangles), np.arange(len(half.points)))
+            saving = whole - sum(half.hull_volume for half in halves)
             assert saving - 1e-9 * whole <= bounds[axis, k] <= saving + 0.1 * whole

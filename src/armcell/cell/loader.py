@@ -16,13 +16,15 @@ from armcell.model.untrusted_files import read_yaml
 
 if TYPE_CHECKING:
     from armcell.cell.cell import Cell
+    from armcell.model import RobotModel
 
 
-def load(cell: str | Path, allow_env: bool | None = None) -> Cell:
+def load(cell: str | Path, allow_env: bool | None = None, model: RobotModel | None = None) -> Cell:
     """Load a cell, given as the name of a built-in cell, a folder with a file cell.yaml, or a YAML file.
 
     Args:
         allow_env: lets the robot's xacro files read environment variables, see `load_robot`.
+        model: the cell's robot, if it is already loaded.
     Raises:
         InputError: the cell is invalid; the error has the file, the element, the reason and the hint.
     """
@@ -38,4 +40,4 @@ def load(cell: str | Path, allow_env: bool | None = None) -> Cell:
 
     from armcell.cell.cell import Cell  # imported late: takes 1.3 s
 
-    return Cell(name, file, spec, allow_env=allow_env)
+    return Cell(name, file, spec, model, allow_env)

@@ -9,6 +9,7 @@ from typing import Any
 
 from armcell.cell.gripper_proof import GripperProof, with_proven_grippers
 from armcell.cell.setup_poses import with_poses
+from armcell.collision.kernel.robot_arrays import fit_links
 from armcell.collision.self_collision import LinkPair, link_pairs
 from armcell.core import InputError
 from armcell.model import Gripper, Joint, RobotModel, SuctionGripper
@@ -81,7 +82,7 @@ def propose(
     samples: int = 100_000,
     seed: int = 0,
     name: str | None = None,
-    progress: Callable[[str, int], None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
     grippers: Sequence[GripperSpec] = (),
 ) -> SetupProposal:
     """Propose a setup for one robot, or for several robots that are combined into one model.
@@ -89,13 +90,13 @@ def propose(
     Args:
         parts: URDF or xacro files with prefixes and poses.
         samples: number of random states that decide which link pairs are checked for collision.
-        progress: called with the current step and the number of samples done.
+        progress: called with the current step and the finished share of the step.
         grippers: facts about the robot's grippers; setup recognizes the rest.
     Raises:
         InputError: a file is invalid, names clash, or the robot has no movable joint; a
             gripper contradicts the given facts, or does not hold a cube or plate.
     """
-    tell = progress or (lambda what, done: None)
+    tell = progress or (lambda step, done: None)
     tell("reading", 0)
     mjcf, mjcf_text = _mjcf_file(parts), ""
     if mjcf is not None:
@@ -122,8 +123,10 @@ def propose(
     model = find_grippers(groups, tips=True, stated=grippers)
     model = with_keyframes(with_poses(model, seed))
     text = with_frames_text(text, model)
+    for done in fit_links(replace(model, disabled_collisions={})):
+        tell("spheres around the links", done)
     tell("pairs of links", 0)
-    pairs = link_pairs(model, samples, seed, lambda done: tell("pairs of links", done))
+    pairs = link_pairs(model, samples, seed, lambda done: tell("pairs of links", done / samples))
     model = replace(model, disabled_collisions={p.links: p.reason for p in pairs if p.reason})
     tell("closing the gripper on a cube", 0)
     model, proofs = _proven(model, grippers)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 from rich.table import Table
 
 from armcell.cli.console import check_writable, console, write_json
+
+if TYPE_CHECKING:
+    from armcell.cell import Cell
 
 Finding = tuple[bool, str, str]  # passed, name of the check, result
 
@@ -22,9 +26,11 @@ def check(
 
     Exit status 0 if all checks pass, 1 with the hints if not.
     """
+    from armcell.cell import load
+
     if json_file is not None:
         check_writable(json_file)
-    found = list(findings(cell))
+    found = list(findings(load(cell)))  # load raises an InputError with file, element and hint
     table = Table(box=None, pad_edge=False, show_header=False)
     for sound, what, text in found:
         table.add_row("[green]ok[/green]" if sound else "[red]no[/red]", what, text)
@@ -34,11 +40,8 @@ def check(
     return 0 if all(sound for sound, _, _ in found) else 1
 
 
-def findings(name: str) -> Iterator[Finding]:
-    """Yield the results of `armcell check` for a cell's files, limits, start state, objects and task."""
-    from armcell.cell import load
-
-    cell = load(name)  # raises an InputError with file, element and hint
+def findings(cell: Cell) -> Iterator[Finding]:
+    """Yield the results of `armcell check` for a cell's limits, start state, objects and task."""
     model, scene = cell.model, cell.scene()
     yield True, "cell file", str(cell.file)
     yield True, "robot", f"{model.name}: {len(model.links)} links, {model.dof} actuated joints"

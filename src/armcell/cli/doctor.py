@@ -346,7 +346,7 @@ def check_cell(name: str) -> Iterator[Finding]:
         return
     finally:
         logger.removeHandler(heard)
-    yield from (Finding(OK if sound else NO, what, text) for sound, what, text in findings(name))
+    yield from (Finding(OK if sound else NO, what, text) for sound, what, text in findings(loaded))
     meshes = sum(v.file is not None for link in loaded.model.links.values() for v in link.visuals)
     if heard.lines:
         yield from (Finding(NO, "robot's files", text) for text in heard.lines)

@@ -66,20 +66,20 @@ def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
     text = ""
     for text in starter_cells(model, path, xacro_args()):
         write_folder(folder, {"cell.yaml": text}, force=True)
-        if "pick: cube" not in text or _passes(folder):
+        if "pick: cube" not in text or _passes(folder, model):
             break
     return "pick: cube" in text
 
 
-def _passes(folder: Path) -> bool:
-    """Return whether the cell that `armcell new` has written passes all checks and its task succeeds with
-    fake arms, which follow every command exactly.
+def _passes(folder: Path, model: RobotModel) -> bool:
+    """Return whether the cell that `armcell new` has written for a robot passes all checks and its task
+    succeeds with fake arms, which follow every command exactly.
     """
     from armcell.cell import load, run_task
     from armcell.cli.check import findings
 
-    if not all(passed for passed, _, _ in findings(str(folder))):
+    cell = load(folder, model=model)
+    if not all(passed for passed, _, _ in findings(cell)):
         return False
-    cell = load(folder)
     with cell.connect("fake", seed=0) as live:
         return bool(run_task(cell, live, 0, "fake")["success"])

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from armcell import _interrupts
@@ -30,6 +30,15 @@ if TYPE_CHECKING:
     from armcell.model.setup.gripper_detection import GripperSpec
 
 HINT = "to pick and place, pass --gripper, or describe the gripper in robot.yaml (docs/adding_a_gripper.md)"
+STEPS = {
+    "reading": (0.0, 0.05),
+    "groups and poses": (0.05, 0.2),
+    "spheres around the links": (0.2, 0.7),
+    "pairs of links": (0.7, 0.85),
+    "closing the gripper on a cube": (0.85, 0.9),
+    "planning and picking a cube": (0.9, 1.0),
+}
+"""Start and end of each step in the progress bar: typical shares of the CPU time for arms with a gripper."""
 QUESTION = (
     "State the gripper, such as drive=JOINT fingers=LINK,LINK closes=upper, or suction (--help explains the "
     "words). "
@@ -264,7 +273,7 @@ def setup(
         parts = _parts(robots, prefix, at, rpy_deg)
 
         def proposed(facts: list[GripperSpec]) -> SetupProposal:
-            with _progress(samples) as tell:
+            with _progress() as tell:
                 return propose(parts, samples, seed, name, tell, facts)
 
         proposal = proposed(facts)
@@ -308,7 +317,10 @@ def _first_cell(folder: Path) -> None:
     from armcell.cli.new import write_starter
     from armcell.model.loader import load_robot
 
-    if not write_starter(load_robot(folder), ".", folder):
+    with _progress() as tell:
+        tell("planning and picking a cube", 0)
+        is_pick = write_starter(load_robot(folder), ".", folder)
+    if not is_pick:
         console.print("no place was found where the gripper reaches a cube on a table: the cell only moves")
 
 
@@ -346,20 +358,27 @@ def parse_numbers(option: str, text: str) -> tuple[float, float, float]:
 
 
 @contextmanager
-def _progress(samples: int) -> Iterator[Callable[[str, int], None]]:
-    """Show the progress bar of `armcell setup` on standard error, if that is a terminal."""
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """Show the progress bar of `armcell setup` with the remaining time on standard error, if that is a
+    terminal.
+    """
     if not sys.stderr.isatty():
-        yield lambda what, done: None
+        yield lambda step, done: None
         return
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
+        TimeRemainingColumn(),
     )
     with Progress(*columns, console=errors, transient=True) as bar:
-        task = bar.add_task("reading", total=samples)
-        yield lambda what, done: bar.update(task, description=what, completed=done)
+        task = bar.add_task("", total=1.0)
+
+        def tell(step: str, done: float) -> None:
+            first, last = STEPS[step]
+            bar.update(task, description=step, completed=first + done * (last - first))
+
+        yield tell
 
 
 def _show(proposal: SetupProposal) -> None:

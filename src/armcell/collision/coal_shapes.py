@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell._array_store import key_of, recall_or_compute
+from armcell.collision.convex_decomposition import signed_volume
 from armcell.collision.winding import WindingNumbers
 from armcell.core import (
     Box,
@@ -273,14 +274,20 @@ def is_convex(mesh: Mesh) -> bool:
 
 def _is_convex(mesh: Mesh) -> bool:
     import trimesh  # slow to import, and needed only for new meshes
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
-    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
-    if not surface.is_watertight or surface.volume <= 0:
+    volume = signed_volume(mesh.vertices[mesh.faces])
+    if volume <= 0:
         return False
-    if float(surface.convex_hull.volume) > abs(float(surface.volume)) * (1 + CONVEX_EXCESS):
+    try:
+        hull = ConvexHull(mesh.vertices)
+    except QhullError:  # flat
         return False
-    planes = ConvexHull(mesh.vertices).equations
+    if hull.volume > volume * (1 + CONVEX_EXCESS):
+        return False
+    if not trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight:  # slow, and most meshes are not convex
+        return False
+    planes = hull.equations
     return all(
         float(np.max(planes[:, :3] @ vertex + planes[:, 3])) >= -CONVEX_DENT for vertex in mesh.vertices
     )

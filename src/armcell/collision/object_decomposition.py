@@ -21,7 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell._array_store import key_of
-from armcell.collision.convex_decomposition import convex_hull_mesh, convex_pieces, cut_corners, stored_pieces
+from armcell.collision.convex_decomposition import (
+    convex_hull_mesh,
+    convex_pieces,
+    cut_corners,
+    signed_volume,
+    stored_pieces,
+)
 from armcell.collision.winding import WindingNumbers
 from armcell.core import Mesh, is_closed
 
@@ -101,10 +107,8 @@ class _Piece:
 
     @property
     def excess(self) -> float:
-        """Return the volume [m^3] by which the convex hull of a piece exceeds the concave object to
-        decompose.
-        """
-        return self.hull - _volume(self.triangles) - _volume(self.caps)
+        """Return the volume [m^3] by which the convex hull of a piece exceeds the concave solid."""
+        return self.hull - signed_volume(self.triangles) - signed_volume(self.caps)
 
 
 class _Work:
@@ -177,7 +181,7 @@ def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[A
         np.empty((0, 3)),
         work.hull(triangles.reshape(-1, 3)),
     )
-    volume = _volume(triangles)
+    volume = signed_volume(triangles)
     done, pieces = [], [whole]
     excess = [whole.excess]
     while pieces and len(done) + len(pieces) < MAX_PIECES and work.left > 0:
@@ -198,11 +202,6 @@ def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[A
             pieces[worst : worst + 1] = halves
             excess[worst : worst + 1] = [half.excess for half in halves]
     return [piece.points for piece in (*done, *pieces)]
-
-
-def _volume(triangles: Array) -> float:
-    """Return the signed volume [m^3] between the origin and triangles (n, 3, 3) of an object to decompose."""
-    return float(np.einsum("ni,ni->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2]))) / 6
 
 
 def _best_cut(piece: _Piece, work: _Work) -> tuple[_Piece, _Piece] | None:

@@ -43,7 +43,6 @@ Progress = Callable[[int], None]
 NEAR_DISTANCE = 0.03  # [m] samples with a smaller distance may be start states of the search for contact
 NEARER = (0.01, 0.003, 0.001)  # [m] the search starts in the samples of the smallest distance first
 COMPARED = 4096  # near samples of a pair that are compared by distance
-AT_ONCE = 256  # pairs whose near samples are in memory together: 25 MB at 100,000 samples
 RARE = 2000  # with more contact samples of the (larger) kernel solids, the meshes certainly touch, too
 ALWAYS_SAMPLES = 2000  # samples in which the meshes must touch before a pair counts as always in contact
 FIRST = 16384  # samples of all pairs; further samples are only for pairs that touch in few of these
@@ -337,16 +336,18 @@ class _Survey:
         numbers, names = np.arange(len(sampler.pairs)), [frozenset(pair) for pair in sampler.pairs]
         first = self.states[:FIRST]
         close = list(sampler.contact_masks(numbers, first, progress=progress))
-        further = numbers[[rows.mean() <= OFTEN for rows in close]]
+        # More samples of adjacent links cannot change their reason.
+        searched = np.array([name not in self.adjacent for name in names], dtype=bool)
+        rare = np.array([rows.mean() <= OFTEN for rows in close], dtype=bool)
+        further = numbers[searched & rare]
         tell = progress and (lambda done: progress(len(first) + done))
         for n, rows in zip(
             further, sampler.contact_masks(further, self.states[FIRST:], progress=tell), strict=True
         ):
             close[n] = np.concatenate([close[n], rows])
         counts = np.array([rows.sum() for rows in close], dtype=int)
-        for n, (a, b) in enumerate(sampler.pairs):
-            if names[n] in self.adjacent:
-                continue
+        for n in numbers[searched].tolist():
+            a, b = sampler.pairs[n]
             # The kernel's solids are slightly larger than the meshes, so the meshes decide.
             states = self.states[np.flatnonzero(close[n])]
             if 0 < counts[n] <= RARE and not any(self._touch(a, b, q) for q in states):
@@ -354,13 +355,21 @@ class _Survey:
             elif counts[n] == len(close[n]):
                 counts[n] -= not all(self._touch(a, b, q) for q in states[:ALWAYS_SAMPLES])
         unproven = dict.fromkeys(names, np.zeros((0, self.model.dof)))
-        never = numbers[counts == 0]
-        for begin in range(0, len(never), AT_ONCE):
-            some = never[begin : begin + AT_ONCE]
-            near = sampler.contact_masks(some, self.states, NEAR_DISTANCE)
-            for n, rows in zip(some.tolist(), near, strict=True):
-                unproven[names[n]] = self.states[self._nearest(sampler, n, np.flatnonzero(rows))]
+        for n, near in self._near(sampler, numbers[searched & (counts == 0)]).items():
+            unproven[names[n]] = self.states[self._nearest(sampler, n, near)]
         return {names[n]: (int(counts[n]), len(close[n])) for n in numbers}, unproven
+
+    def _near(self, sampler: PairSampler, pairs: I64) -> dict[int, I64]:
+        """Return for each given pair, as an index in the sampler's pairs, the first `COMPARED` sampled states
+        in which its links are nearer than `NEAR_DISTANCE`, as indices in `states`.
+        """
+        near: dict[int, I64] = {n: np.zeros(0, np.int64) for n in pairs.tolist()}
+        for start in range(0, len(self.states), FIRST):
+            pairs = np.array([n for n in near if len(near[n]) < COMPARED], dtype=np.int64)
+            masks = sampler.contact_masks(pairs, self.states[start : start + FIRST], NEAR_DISTANCE)
+            for n, rows in zip(pairs.tolist(), masks, strict=True):
+                near[n] = np.append(near[n], start + np.flatnonzero(rows))[:COMPARED]
+        return near
 
     def _nearest(self, sampler: PairSampler, pair: int, near: I64) -> list[int]:
         """Return the start states of the search for a self-collision of a link pair, as indices in `states`,
@@ -370,7 +379,7 @@ class _Survey:
             pair: index in the sampler's pairs.
             near: (k,) indices of the states in which the links are nearer than `NEAR_DISTANCE`.
         """
-        levels = [self.rng.permutation(near)[:COMPARED]]
+        levels = [near]
         for within in NEARER:
             if len(levels[-1]) > 1:
                 rows = sampler.contact_masks(np.array([pair]), self.states[levels[-1]], within)[0]

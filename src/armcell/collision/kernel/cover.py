@@ -9,16 +9,16 @@ the solid certainly touches.
 
 from __future__ import annotations
 
+import heapq
 from dataclasses import dataclass
 from functools import lru_cache
 
-import coal
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from armcell._array_store import key_of, recall_or_compute
-from armcell.collision.coal_shapes import triangle_model
+from armcell.collision.kernel.triangle_tree import LEAF, TriangleTree, distances, near_and_far
 from armcell.collision.winding import WindingNumbers
 from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
 
@@ -26,7 +26,7 @@ F64 = NDArray[np.float64]
 
 SECTIONS = 48  # number of facets around round shapes
 GROUP = 8  # spheres that share a bounding sphere
-FIT_VERSION = 1  # increase when `fit` returns other spheres, to invalidate the disk cache
+FIT_VERSION = 2  # increase when `fit` returns other spheres, to invalidate the disk cache
 
 
 def triangulated(shape: Shape) -> tuple[F64, NDArray[np.int64], float]:
@@ -84,9 +84,9 @@ def small_triangles(vertices: F64, faces: NDArray[np.int64], edge: float) -> F64
     return np.concatenate(done)
 
 
-def outer_skin(vertices: F64, faces: NDArray[np.int64], edge: float) -> F64:
-    """Return the outer surface of a solid's mesh as small triangles (m, 3, 3), which the sphere cover must
-    contain.
+def outer_skin(vertices: F64, faces: NDArray[np.int64], edge: float) -> tuple[F64, F64]:
+    """Return the outer surface of a solid's mesh, which the kernel covers with spheres, as triangles with
+    edges of at most `edge` [m] (m, 3, 3), and as fewer triangles (k, 3, 3).
 
     Parts of the surface that are inside the same mesh are left out and need no cover: robot meshes often
     consist of several closed solids that intersect.
@@ -103,10 +103,10 @@ def outer_skin(vertices: F64, faces: NDArray[np.int64], edge: float) -> F64:
     part_of_face = parts[faces[:, 0]]
     names = np.unique(part_of_face)
     if len(names) == 1:
-        return small_triangles(vertices, faces, edge)
+        return small_triangles(vertices, faces, edge), vertices[faces]
     solids = {part: faces[part_of_face == part] for part in names}
     winding = {part: WindingNumbers(vertices, solid) for part, solid in solids.items()}
-    kept = []
+    kept, surface = [], []
     for part in names:
         elements = small_triangles(vertices, solids[part], edge)
         buried = np.zeros(len(elements), dtype=bool)
@@ -122,24 +122,8 @@ def outer_skin(vertices: F64, faces: NDArray[np.int64], edge: float) -> F64:
             near = np.flatnonzero(~buried & np.all((points > low) & (points < high), axis=1))
             buried[near] = winding[other](points[near]) > 0.5
         kept.append(elements[~buried])
-    return np.concatenate(kept)
-
-
-def depths(points: F64, skin: F64) -> F64:
-    """Return the depths (m,) [m] of interior points below the surface triangles (k, 3, 3) of a solid to cover
-    with spheres.
-    """
-    corners = np.round(skin.reshape(-1, 3), 9)
-    model = triangle_model(corners, np.arange(len(corners)).reshape(-1, 3))
-    point, radius = coal.Sphere(1e-6), 1e-6
-    here, there = coal.Transform3s(), coal.Transform3s()
-    request, result = coal.DistanceRequest(), coal.DistanceResult()
-    out, R = np.empty(len(points)), np.eye(3)
-    for i, p in enumerate(points):
-        there.setTransform(R, p)
-        result.clear()
-        out[i] = coal.distance(model, here, point, there, request, result) + radius
-    return np.maximum(out, 0.0)
+        surface.append(kept[-1] if buried.any() else vertices[solids[part]])
+    return np.concatenate(kept), np.concatenate(surface)
 
 
 def interior_points(vertices: F64, faces: NDArray[np.int64], spacing: float) -> F64:
@@ -177,87 +161,107 @@ def _grouped(centers: F64, outer: F64, inner: F64) -> Cover:
 
 
 @njit(cache=True)
-def _holds(e, p, x, y, z, reach2):
-    """Return whether a ball of a sphere cover contains all three corners of a small triangle on the surface.
-
-    `e` (9, n) has x, y, z of each corner, and p is the index of the element.
-    """
+def _holds(e, x, y, z, reach2):
+    """Return whether a ball of a sphere cover contains all three corners of an element (9,)."""
     for i in range(0, 9, 3):
-        dx, dy, dz = e[i, p] - x, e[i + 1, p] - y, e[i + 2, p] - z
+        dx, dy, dz = e[i] - x, e[i + 1] - y, e[i + 2] - z
         if dx * dx + dy * dy + dz * dz > reach2:
             return False
     return True
 
 
 @njit(cache=True)
-def _cells(e, size):
-    """Sort the elements (9, n) of a shape to cover with spheres into the cells of a grid, by their first
-    corner.
+def _gain(tree, left, ball, take, exact):
+    """Count the uncovered elements of a shape that a ball contains.
 
     Args:
-        size: edge length of a cell [m].
-    Returns:
-        Lowest corner (3,) of the grid, its shape (3,), and the elements in the order of the cells: those of
-        cell c are `order[starts[c] : starts[c + 1]]`.
-    """
-    n = e.shape[1]
-    low, shape = np.empty(3), np.empty(3, dtype=np.int64)
-    for i in range(3):
-        low[i] = e[i].min()
-        shape[i] = int((e[i].max() - low[i]) / size) + 1
-    starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int64)
-    cell, order = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    for p in range(n):
-        x, y, z = (
-            int((e[0, p] - low[0]) / size),
-            int((e[1, p] - low[1]) / size),
-            int((e[2, p] - low[2]) / size),
-        )
-        cell[p] = (x * shape[1] + y) * shape[2] + z
-        starts[cell[p] + 1] += 1
-    for c in range(len(starts) - 1):
-        starts[c + 1] += starts[c]
-    filled = starts.copy()
-    for p in range(n):
-        order[filled[cell[p]]] = p
-        filled[cell[p]] += 1
-    return low, shape, starts, order
-
-
-@njit(cache=True)
-def _count(e, grid, size, ball, held, take):
-    """Count the uncovered elements of a shape that a ball of the sphere cover would contain.
-
-    Args:
-        grid, size: from `_cells`.
+        tree: the elements; a leaf's uncovered elements come first.
+        left: (k,) uncovered elements of each node. The counts below a node without any are outdated.
         ball: center x, y, z and squared radius.
-        held: (n,) which elements are covered.
         take: mark the counted elements as covered.
+        exact: if False, also count the uncovered elements outside the ball in leaves that the ball meets.
     """
-    low, shape, starts, order = grid
     x, y, z, reach2 = ball
-    reach = np.sqrt(reach2) * (1 + 1e-9)  # rounding must not exclude a cell
-    first, last = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    for i in range(3):
-        first[i] = max(int(np.floor((ball[i] - reach - low[i]) / size)), 0)
-        last[i] = min(int(np.floor((ball[i] + reach - low[i]) / size)), shape[i] - 1)
-        if first[i] > last[i]:
-            return 0
-    count = 0
-    for i in range(first[0], last[0] + 1):
-        for j in range(first[1], last[1] + 1):
-            row = (i * shape[1] + j) * shape[2]
-            for at in range(starts[row + first[2]], starts[row + last[2] + 1]):
-                p = order[at]
-                if not held[p] and _holds(e, p, x, y, z, reach2):
-                    count += 1
-                    if take:
-                        held[p] = True
+    count, stack = 0, np.empty(64, np.int64)
+    stack[0], depth = 0, 1
+    while depth > 0:
+        depth -= 1
+        n = stack[depth]
+        if left[n] == 0:
+            continue
+        near, far = near_and_far(tree.box[n], x, y, z)
+        if near > reach2:
+            continue
+        found = left[n]
+        if far > reach2:
+            if n < tree.leaves:
+                stack[depth], stack[depth + 1] = 2 * n + 1, 2 * n + 2
+                depth += 2
+                continue
+            if exact:
+                found = _held_of_leaf(tree, (n - tree.leaves) * LEAF, left[n], ball, take)
+        count += found
+        if take:
+            left[n] -= found
+            while n > 0:
+                n = (n - 1) // 2
+                left[n] -= found
     return count
 
 
 @njit(cache=True)
-def _greedy(e, centers, reach2, size):
+def _held_of_leaf(tree, first, count, ball, take):
+    """Count the elements of a leaf that a ball contains, among `count` elements from index `first` on. With
+    `take`, move these elements behind the others.
+    """
+    x, y, z, reach2 = ball
+    found, t = 0, first
+    while t < first + count:
+        if _holds(tree.triangles[t], x, y, z, reach2):
+            found += 1
+            if take:
+                count -= 1
+                end = first + count
+                last = tree.triangles[end].copy()
+                tree.triangles[end], tree.triangles[t] = tree.triangles[t], last
+                tree.order[t], tree.order[end] = tree.order[end], tree.order[t]
+                continue
+        t += 1
+    return found
+
+
+@njit(cache=True)
+def _choose(tree, left, centers, reach2, held):
+    """Choose balls as described at `_greedy`. Update the counts `left` of `_gain`, and clear the flags `held`
+    (n,) of the elements that no ball contains.
+    """
+    best = [(0, 0)]  # a heap of -gain, ball
+    best.pop()
+    for c in range(len(centers)):
+        ball = (centers[c, 0], centers[c, 1], centers[c, 2], reach2[c])
+        best.append((-_gain(tree, left, ball, False, False), c))
+    heapq.heapify(best)
+    chosen = []
+    while len(best) > 0 and best[0][0] < 0:
+        gain, c = best[0]
+        ball = (centers[c, 0], centers[c, 1], centers[c, 2], reach2[c])
+        now = _gain(tree, left, ball, False, True)
+        if now < -gain:
+            heapq.heapreplace(best, (-now, c))
+            continue
+        heapq.heappop(best)
+        chosen.append(c)
+        _gain(tree, left, ball, True, True)
+    for n in range(1, len(left)):
+        if left[(n - 1) // 2] == 0:
+            left[n] = 0
+        if n >= tree.leaves:
+            first = (n - tree.leaves) * LEAF
+            held[tree.order[first : first + left[n]]] = False
+    return np.array(chosen, dtype=np.int64)
+
+
+def _greedy(elements: F64, centers: F64, reach2: F64) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Choose balls for a sphere cover greedily. Each step chooses the ball with the most uncovered elements
     of the shape, until no ball contains an uncovered element.
 
@@ -265,32 +269,18 @@ def _greedy(e, centers, reach2, size):
     again.
 
     Args:
-        e: (9, n) elements.
-        reach2: (m,) squared radii of the balls.
-        size: edge length [m] of the grid cells in which elements are looked up.
+        elements: (n, 3, 3) corners of the elements [m].
+        centers: (m, 3) centers of the balls [m].
+        reach2: (m,) squared radii of the balls [m^2].
     Returns:
         The chosen balls, and which elements they contain.
     """
-    n, m = e.shape[1], len(centers)
-    grid, held = _cells(e, size), np.zeros(n, dtype=np.bool_)
-    gain = np.empty(m, dtype=np.int64)
-    for c in range(m):
-        ball = (centers[c, 0], centers[c, 1], centers[c, 2], reach2[c])
-        gain[c] = _count(e, grid, size, ball, held, False)
-    chosen = []
-    while True:
-        best = np.argmax(gain)
-        if gain[best] == 0:
-            break
-        ball = (centers[best, 0], centers[best, 1], centers[best, 2], reach2[best])
-        now = _count(e, grid, size, ball, held, False)
-        if now < gain[best]:
-            gain[best] = now
-            continue
-        chosen.append(best)
-        gain[best] = 0
-        _count(e, grid, size, ball, held, True)
-    return np.array(chosen, dtype=np.int64), held
+    tree = TriangleTree.of(elements)
+    left = [np.clip(len(elements) - np.arange(len(tree.box) - tree.leaves) * LEAF, 0, LEAF)]
+    while len(left[-1]) > 1:
+        left.append(left[-1][::2] + left[-1][1::2])
+    held = np.ones(len(elements), bool)
+    return _choose(tree, np.concatenate(left[::-1]), centers, reach2, held), held
 
 
 @lru_cache(maxsize=4096)
@@ -312,10 +302,10 @@ def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
 def fit(shape: Shape, overshoot: float) -> Cover:
     """Compute the sphere cover of a shape without using the cache."""
     vertices, faces, round_gap = triangulated(shape)
-    elements = outer_skin(vertices, faces, 0.7 * overshoot)
+    elements, surface = outer_skin(vertices, faces, 0.7 * overshoot)
     size = float((vertices.max(0) - vertices.min(0)).max())
     inside = interior_points(vertices, faces, max(0.8 * overshoot, size / 35))
-    depth = depths(inside, elements) if len(inside) else np.zeros(0)
+    depth = distances(inside, TriangleTree.of(surface)) if len(inside) else np.zeros(0)
     # The cover must contain the solid's interior as well as its skin: each grid point is a small element.
     elements = np.concatenate([elements, np.repeat(inside[:, None, :], 3, axis=1)])
     # Balls around surface points (depth 0) reach corners that no interior ball reaches; a few are enough.
@@ -328,7 +318,7 @@ def fit(shape: Shape, overshoot: float) -> Cover:
     inner = np.concatenate([depth, np.zeros(len(thin))])
     outer = inner + overshoot
     reach2 = (outer - round_gap) ** 2
-    chosen, held = _greedy(np.ascontiguousarray(elements.reshape(-1, 9).T), centers, reach2, 2 * overshoot)
+    chosen, held = _greedy(elements, centers, reach2)
     missing = elements[~held]  # repair: elements that no candidate contains get their own ball
     while len(missing):
         center = missing[0].mean(axis=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
@@ -558,14 +558,30 @@ def _all_meet(g: int, h: int) -> _Meeting:
 def _links_of(model: RobotModel, scales: tuple[tuple[str, float], ...]) -> tuple[tuple[str, int, Body], ...]:
     """Return the name, index and kernel body of each link with a collision shape."""
     scale_of, tree = dict(scales), kinematic_tree(model)
+    return tuple(
+        (link.name, tree.link_index[link.name], link_body(link, scale_of.get(link.name, 1.0), overshoot))
+        for link, overshoot in _overshoots(model)
+    )
+
+
+def fit_links(model: RobotModel) -> Iterator[float]:
+    """Compute the sphere covers and convex pieces of a robot's links, which take most of the time of the
+    robot's first checker, and keep them in the cache. Yield the finished share of the links.
+    """
+    links = _overshoots(model)
+    for count, (link, overshoot) in enumerate(links, 1):
+        link_body(link, 1.0, overshoot)
+        yield count / len(links)
+
+
+def _overshoots(model: RobotModel) -> list[tuple[Link, float]]:
+    """Return the links with collision shapes, and how far [m] the spheres of each may extend beyond it."""
     fine = _fine_links(model)
-    found = []
-    for link in model.links.values():
-        if link.collisions:
-            overshoot = FINE_OVERSHOOT if link.name in fine else LINK_OVERSHOOT
-            body = link_body(link, scale_of.get(link.name, 1.0), overshoot)
-            found.append((link.name, tree.link_index[link.name], body))
-    return tuple(found)
+    return [
+        (link, FINE_OVERSHOOT if link.name in fine else LINK_OVERSHOOT)
+        for link in model.links.values()
+        if link.collisions
+    ]
 
 
 def _near_tables(body_groups: I32, pairs: I32, meeting: list[_Meeting]) -> dict[str, I32]:

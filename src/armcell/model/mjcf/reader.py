@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell._array_store import key_of, recall_or_compute
 from armcell.core import SE3, SO3, Box, Capsule, Cylinder, InputError, Mesh, Shape, Sphere
 from armcell.model.assets import MESH_SUFFIXES
 from armcell.model.mjcf.coupling import ON_JOINT, ON_TENDON, Couplings, couplings, tendon_joints
@@ -66,6 +68,19 @@ def parse_mjcf(source: MjcfText) -> RobotModel:
         if error.file is not None:
             raise
         raise InputError(error.reason, file=path, hint=error.hint) from None
+
+
+def _convex_hull(vertices: NDArray[np.float64]) -> Mesh:
+    """Return the convex hull of a mesh's vertices (v, 3) [m]. It is cached on disk."""
+
+    def computed() -> dict[str, NDArray]:
+        import trimesh  # imported late: the import takes 0.5 s, which only new meshes need
+
+        hull = trimesh.convex.convex_hull(vertices)
+        return {"vertices": np.array(hull.vertices), "faces": np.array(hull.faces, dtype=np.int32)}
+
+    stored = recall_or_compute("meshes", key_of("hull", version("trimesh"), vertices), computed)
+    return Mesh(stored["vertices"], stored["faces"])
 
 
 class _Reader:
@@ -326,10 +341,7 @@ class _Reader:
         """
         shape = self.primitive(geom)
         if shape is None and (mesh := self.mesh(geom)) is not None:
-            import trimesh  # imported late: the import takes 0.5 s, which only meshes need
-
-            hull = trimesh.convex.convex_hull(mesh[0])
-            shape = Mesh(np.array(hull.vertices), np.array(hull.faces, dtype=np.int32))
+            shape = _convex_hull(mesh[0])
         return None if shape is None else Collision(shape, self.geom_pose(geom))
 
     def visual(self, geom: int) -> Visual | None:

@@ -138,22 +138,18 @@ class HandGeometry:
             The smallest gap [m] (infinite if the jaws face each other nowhere), and the cells (n, 2), the
             inner y of the plus jaw and of the minus jaw in the cells [m].
         """
-        cells: list[dict[tuple[int, int], float]] = []
-        for part, sign in ((a, 1.0), (b, -1.0)):
-            found = self.at(part, q) @ axes.T
-            keys = np.round(found[:, [0, 2]] / SPACING).astype(int)
-            inner: dict[tuple[int, int], float] = {}
-            for (x, z), y in zip(keys.tolist(), (sign * found[:, 1]).tolist(), strict=True):
-                if y < inner.get((x, z), np.inf):
-                    inner[x, z] = y
-            cells.append(inner)
-        common = [key for key in cells[0] if key in cells[1]]
-        if not common:
+        jaws = [self.at(part, q) @ axes.T for part in (a, b)]
+        if not all(map(len, jaws)):
             return np.inf, np.zeros((0, 2)), np.zeros(0), np.zeros(0)
-        plus = np.array([cells[0][key] for key in common])
-        minus = -np.array([cells[1][key] for key in common])
-        gap = plus - minus
-        return float(gap.min()), SPACING * np.array(common, dtype=float), plus, minus
+        cells = [np.round(points[:, [0, 2]] / SPACING).astype(int) for points in jaws]
+        low = np.minimum(*(c.min(axis=0) for c in cells))
+        shape = np.maximum(*(c.max(axis=0) for c in cells)) - low + 1
+        inner = np.full((2, *shape), np.inf)
+        for k, sign in enumerate((1.0, -1.0)):
+            np.minimum.at(inner[k], tuple((cells[k] - low).T), sign * jaws[k][:, 1])
+        common = np.argwhere(np.isfinite(inner).all(axis=0))
+        plus, minus = inner[0][tuple(common.T)], -inner[1][tuple(common.T)]
+        return float((plus - minus).min(initial=np.inf)), SPACING * (common + low), plus, minus
 
     def hand_links(self) -> tuple[str, ...]:
         below = [n for n in self.model.subtree(self.palm) if self.model.links[n].collisions]
