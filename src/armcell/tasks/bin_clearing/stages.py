@@ -13,7 +13,7 @@ import numpy as np
 
 from armcell.core import SE3, SO3, Box, ErrorCode, Outcome, PlanResult, Shape
 from armcell.drivers import GripperReading
-from armcell.grasping import HeapGrasp
+from armcell.grasping import Grasp, HeapGrasp
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.context import StageReport, TaskContext
@@ -42,7 +42,7 @@ class ChooseFromHeap:
     The order of the given grasps is kept.
     """
 
-    grasps: Sequence[HeapGrasp]
+    grasps: Sequence[Grasp]
     gripper: Gripper
     speed: Speed
     distance: float  # [m] of the approach

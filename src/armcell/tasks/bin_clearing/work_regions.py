@@ -41,6 +41,7 @@ class RegionView:
     region: WorkRegion
     map: HeightMap
     labels: NDArray[np.int64]
+    cells: NDArray[np.bool_]  # of the map, over the work region
 
     @property
     def count(self) -> int:
@@ -142,7 +143,7 @@ def view_region(
     # the fingertips may go 3 mm above the floor, less than the noise of a camera
     bare = inside & (labels < 0) & (seen.heights <= region.floor + s.above_floor)
     level = replace(seen, heights=np.where(bare, region.floor, seen.heights))
-    return RegionView(region, level, labels)
+    return RegionView(region, level, labels, inside)
 
 
 def add_heap(ctx: TaskContext, seen: RegionView) -> None:
