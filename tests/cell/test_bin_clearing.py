@@ -16,6 +16,7 @@ from armcell.cell.schema import validated
 from armcell.core import ErrorCode, InputError, UnknownNameError
 from armcell.scene import library_object
 from armcell.tasks.bin_clearing import BinClearingSettings, clear_bin
+from armcell.tasks.bin_clearing.work_regions import table_around, view_region
 
 CALL = {"into": "tray", "table": "work_table", "camera": "above_bin", "tray_camera": "above_tray"}
 
@@ -244,6 +245,21 @@ def test_pieces_beside_the_bin_are_picked_although_one_in_it_is_stuck():
         outcome = live.clear("bin", **CALL)
         assert outcome.code is ErrorCode.FAILURE and "1 in bin" in outcome.message
         assert [outcome.evidence[k] for k in ("cleared", "left", "beside")] == [1, 1, 0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("y, beside", [(0.47, 0), (0.62, 1)])
+def test_an_object_that_leans_over_the_wall_of_the_tray_is_in_it_if_most_of_it_is(y, beside):
+    """The bar lies on the wall at y = 0.56; its middle is over the tray or beside it."""
+    tilt = (0.16, 0.0, 0.0) if beside == 0 else (0.0, 0.0, 0.0)
+    data = with_bar((0.70, -0.32, 0.2425)).spec.model_dump(exclude_unset=True)
+    bar = {"box": (0.03, 0.20, 0.02), "movable": False}
+    data["objects"]["leaning"] = {**bar, "pose": {"xyz": (0.70, y, 0.262), "rpy": tilt}}
+    with Cell("lean", whole().file, validated(data, whole().file)).connect("sim", seed=0) as live:
+        s = BinClearingSettings()
+        region = table_around(live.scene(), "tray", "work_table", ("bin", "tray"), s)
+        seen = view_region(live.ctx, lambda: live.cameras["above_tray"].image(rgb=False), region, s)
+        assert seen.count == beside
 
 
 @pytest.mark.slow
