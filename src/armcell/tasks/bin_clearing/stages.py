@@ -30,6 +30,7 @@ HEAP = "heap"
 """Name of the camera's points in the bin, in the planning scene."""
 HELD = "held object"
 """Name of the held object in the planning scene."""
+FREE = 0.008  # [m] opening beyond the held width at which an object has left the fingers
 WIDEST = 0.06  # [m] largest assumed half length of a held object
 
 
@@ -217,14 +218,33 @@ class CheckObjectInFingers:
 
 @dataclass(frozen=True, eq=False)
 class Drop:
-    """Step of bin clearing that opens the fingers and removes the dropped object from the scene."""
+    """Step of bin clearing that opens the fingers and removes the dropped object from the scene.
+
+    It ends as soon as the object is free; the fingers open further while the arm retreats. A wall or piece
+    that stops the fingers after the object is free does no harm.
+    """
 
     grip: CommandGripper
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        outcome = self.grip.perform(ctx)
+        outcome = staged(ctx, StageReport(self.grip.name), lambda: self._open(ctx))
         detach_held(ctx)
         return outcome
+
+    def _open(self, ctx: TaskContext) -> Outcome:
+        driver, name = ctx.driver, self.grip.gripper.name
+        free = min(driver.gripper(name).width + FREE, self.grip.width - 1e-3)
+        self.grip.start(ctx)
+        end = driver.now + ctx.settings.gripper_timeout
+        while (width := driver.gripper(name).width) < free:
+            if ctx.cancel.is_set():
+                return Outcome(ErrorCode.PREEMPTED, "cancelled")
+            if driver.now >= end:
+                text = f"gripper stands at {1000 * width:.1f} mm, wanted {1000 * self.grip.width:.1f} mm"
+                return Outcome(ErrorCode.CONTROL_FAILED, text)
+            ctx.advance(0.02)
+        ctx.advance(self.grip.settle)
+        return DONE
 
 
 def holds(reading: GripperReading, thinnest: float) -> bool:
