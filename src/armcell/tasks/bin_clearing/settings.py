@@ -29,7 +29,7 @@ class BinClearingSettings:
     most_misses: int = 8  # maximum number of failed picks in a row
     most_picks: int = 60
     most_pushes: int = 4  # maximum number of pushes in a row without a pick
-    thinnest: float = 0.0015  # fingers closer together are empty
+    thinnest: float = 0.0005  # fingers closer together are empty; sheet metal is 1 mm thick
     max_age: float = 0.5  # [s] maximum age of an image
     grasps: TopDownGraspSettings = TopDownGraspSettings()
     push: Speed = Speed(0.15, 0.2)  # speed of pushes off a wall
