@@ -124,11 +124,16 @@ class _BinClearing:
         """Clear the work regions of a bin one after the other, and put their objects into the tray."""
         ctx, s, counts = self.ctx, self.settings, self.counts
         left: dict[str, str] = {}  # regions set aside, with the number of pieces in each
+        arm_is_away = False  # from the cameras' view
         while True:
             if ctx.cancel.is_set():
                 return self._end(ErrorCode.PREEMPTED, "cancelled")
             here = first_not_empty(ctx, [(eye, r) for eye, r in regions if r.name not in left], s)
             if isinstance(here, Outcome):
+                if here.ok and not arm_is_away and counts.picks + counts.pushes > 0:
+                    self._leave_view()  # the arm may hide a piece beside the tray
+                    arm_is_away = True
+                    continue
                 if here.ok and left:
                     last = f"{s.most_misses} picks in a row brought nothing"
                     return self._given_up(last, left.values())
@@ -142,6 +147,7 @@ class _BinClearing:
                 counts.in_a_row = 0
                 continue
             add_heap(ctx, here)
+            arm_is_away = False
             pick = _PickFromHeap(self, here)
             outcome = pick.run()
             if outcome.ok:
