@@ -31,6 +31,8 @@ HEAP = "heap"
 HELD = "held object"
 """Name of the held object in the planning scene."""
 FREE = 0.008  # [m] opening beyond the held width at which an object has left the fingers
+MOVES = 3e-4  # [m] by which fingers that move open within `STOPPED`
+STOPPED = 0.1  # [s]
 WIDEST = 0.06  # [m] largest assumed half length of a held object
 
 
@@ -220,8 +222,7 @@ class CheckObjectInFingers:
 class Drop:
     """Step of bin clearing that opens the fingers and removes the dropped object from the scene.
 
-    It ends as soon as the object is free; the fingers open further while the arm retreats. A wall or piece
-    that stops the fingers after the object is free does no harm.
+    A wall or piece that stops the fingers after the object is free does no harm.
     """
 
     grip: CommandGripper
@@ -233,12 +234,17 @@ class Drop:
 
     def _open(self, ctx: TaskContext) -> Outcome:
         driver, name = ctx.driver, self.grip.gripper.name
-        free = min(driver.gripper(name).width + FREE, self.grip.width - 1e-3)
+        free = driver.gripper(name).width + FREE
         self.grip.start(ctx)
         end = driver.now + ctx.settings.gripper_timeout
-        while (width := driver.gripper(name).width) < free:
+        widest, since = 0.0, driver.now
+        while abs((width := driver.gripper(name).width) - self.grip.width) >= 1e-3:
             if ctx.cancel.is_set():
                 return Outcome(ErrorCode.PREEMPTED, "cancelled")
+            if width > widest + MOVES:
+                widest, since = width, driver.now
+            if width >= free and driver.now - since > STOPPED:
+                break
             if driver.now >= end:
                 text = f"gripper stands at {1000 * width:.1f} mm, wanted {1000 * self.grip.width:.1f} mm"
                 return Outcome(ErrorCode.CONTROL_FAILED, text)
