@@ -15,7 +15,8 @@ from armcell.cell import Cell, run_task
 from armcell.cell.schema import validated
 from armcell.core import ErrorCode, InputError, UnknownNameError
 from armcell.scene import library_object
-from armcell.tasks.bin_clearing import clear_bin
+from armcell.tasks.bin_clearing import BinClearingSettings, clear_bin
+from armcell.tasks.bin_clearing.work_regions import table_around, view_region
 
 CALL = {"into": "tray", "table": "work_table", "camera": "above_bin", "tray_camera": "above_tray"}
 
@@ -208,6 +209,57 @@ def test_a_flat_thing_is_picked_though_the_depth_of_the_floor_is_noisy():
         outcome = live.clear("bin", **CALL)
         assert outcome.ok, outcome.message
         assert outcome.evidence["cleared"] == 1 and not live.driver.unwanted_contacts()
+
+
+def with_bar(pose) -> Cell:
+    """The cell with one bar that is longer than the gripper opens."""
+    data = with_things(box_1=(0.70, -0.32, 0.2195)).spec.model_dump(exclude_unset=True)
+    data["objects"]["box_1"] = {"box": (0.16, 0.044, 0.044), "pose": pose, "movable": True, "friction": 0.5}
+    return Cell("bar", whole().file, validated(data, whole().file))
+
+
+@pytest.mark.long
+def test_a_bar_beside_a_wall_is_pushed_off_it_and_picked():
+    with with_bar((0.66, -0.528, 0.2425)).connect("sim", seed=0) as live:
+        outcome = live.clear("bin", **CALL)
+        assert outcome.ok, outcome.message
+        assert outcome.evidence["pushes"] >= 1 and outcome.evidence["cleared"] == 1
+        assert not live.driver.unwanted_contacts()
+
+
+@pytest.mark.slow
+def test_without_pushes_a_bar_beside_a_wall_stays():
+    with with_bar((0.66, -0.528, 0.2425)).connect("sim", seed=0) as live:
+        settings = BinClearingSettings(most_pushes=0, most_misses=1)
+        outcome = live.clear("bin", **CALL, settings=settings)
+        assert outcome.code is ErrorCode.FAILURE and "1 in bin" in outcome.message
+        assert outcome.evidence["pushes"] == outcome.evidence["picks"] == 0
+
+
+@pytest.mark.long
+def test_pieces_beside_the_bin_are_picked_although_one_in_it_is_stuck():
+    data = with_things(box_1=(0.70, -0.32, 0.2195), can_1=(0.62, 0.0, 0.2115)).spec
+    data = data.model_dump(exclude_unset=True)
+    data["objects"]["box_1"] = {"box": (0.16, 0.15, 0.03), "pose": (0.7, -0.32, 0.235), "movable": True}
+    with Cell("both", whole().file, validated(data, whole().file)).connect("sim", seed=0) as live:
+        outcome = live.clear("bin", **CALL)
+        assert outcome.code is ErrorCode.FAILURE and "1 in bin" in outcome.message
+        assert [outcome.evidence[k] for k in ("cleared", "left", "beside")] == [1, 1, 0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("y, beside", [(0.47, 0), (0.62, 1)])
+def test_an_object_that_leans_over_the_wall_of_the_tray_is_in_it_if_most_of_it_is(y, beside):
+    """The bar lies on the wall at y = 0.56; its middle is over the tray or beside it."""
+    tilt = (0.16, 0.0, 0.0) if beside == 0 else (0.0, 0.0, 0.0)
+    data = with_bar((0.70, -0.32, 0.2425)).spec.model_dump(exclude_unset=True)
+    bar = {"box": (0.03, 0.20, 0.02), "movable": False}
+    data["objects"]["leaning"] = {**bar, "pose": {"xyz": (0.70, y, 0.262), "rpy": tilt}}
+    with Cell("lean", whole().file, validated(data, whole().file)).connect("sim", seed=0) as live:
+        s = BinClearingSettings()
+        region = table_around(live.scene(), "tray", "work_table", ("bin", "tray"), s)
+        seen = view_region(live.ctx, lambda: live.cameras["above_tray"].image(rgb=False), region, s)
+        assert seen.count == beside
 
 
 @pytest.mark.slow

@@ -33,6 +33,7 @@ from armcell.grasping.placements import (
     rotated_placement,
     surface_for,
 )
+from armcell.grasping.pushes import HeapPush, PushSettings, pushes_off_walls
 from armcell.grasping.quality import (
     Noise,
     Quality,
@@ -56,10 +57,12 @@ __all__ = [
     "Grasp",
     "Hand",
     "HeapGrasp",
+    "HeapPush",
     "Noise",
     "PadContact",
     "Placement",
     "Proposals",
+    "PushSettings",
     "Quality",
     "Rejection",
     "StablePose",
@@ -83,6 +86,7 @@ __all__ = [
     "place_candidates",
     "placement_axis",
     "pre_opening",
+    "pushes_off_walls",
     "rejection_sort_key",
     "resting_now",
     "robustness",

@@ -60,11 +60,11 @@ class Approach(Motion):
     def monitor(self, ctx: TaskContext, trajectory: JointTrajectory) -> DropMonitor:
         feels = Capability.MEASURE_FORCE in ctx.driver.capabilities
         if feels and self.gripper is not None and not isinstance(self.gripper, SuctionGripper):
-            return _ContactMonitor(ctx, trajectory, self.planned_in, self.gripper)
+            return ContactMonitor(ctx, trajectory, self.planned_in, self.gripper)
         return super().monitor(ctx, trajectory)
 
     def outcome(self, ctx: TaskContext, watch: DropMonitor, result: Outcome) -> Outcome:
-        wrench = watch.wrench if isinstance(watch, _ContactMonitor) else None
+        wrench = watch.wrench if isinstance(watch, ContactMonitor) else None
         stopped = result.code in (ErrorCode.CONTROL_FAILED, ErrorCode.PREEMPTED) and not ctx.cancel.is_set()
         if self.gripper is None or self.grasp is None or not stopped:
             return result
@@ -145,19 +145,22 @@ def _inside(points: Array, boxes: Array) -> NDArray[np.bool_]:
     return np.all((at > boxes[:, :3]) & (at < boxes[:, 3:]), axis=2).any(1)
 
 
-class _ContactMonitor(DropMonitor):
+class ContactMonitor(DropMonitor):
     """Guarded motion of an approach, which stops as soon as the force on the hand exceeds the limit.
 
+    Args:
+        most_force: [N] the limit; None: `contact_force` of the task's settings.
     Attributes:
         wrench: (6,) [N, Nm] change of the wrench on the hand since the start; None without contact.
     """
 
     def __init__(
         self, ctx: TaskContext, trajectory: JointTrajectory, planned_in: PlanningScene | None,
-        gripper: Gripper,
+        gripper: Gripper, most_force: float | None = None,
     ):  # fmt: skip
         super().__init__(ctx, trajectory, planned_in)
         self._gripper = gripper
+        self._most_force = ctx.settings.contact_force if most_force is None else most_force
         self._zero = ctx.driver.wrench(gripper.name)
         self._next_force = ctx.driver.now
         self.wrench: Array | None = None
@@ -167,6 +170,6 @@ class _ContactMonitor(DropMonitor):
         if self.wrench is None and driver.now >= self._next_force:
             self._next_force = driver.now + FORCE_CHECK_PERIOD
             wrench = driver.wrench(self._gripper.name) - self._zero
-            if np.linalg.norm(wrench[:3]) > self._ctx.settings.contact_force:
+            if np.linalg.norm(wrench[:3]) > self._most_force:
                 self.wrench = wrench
         return self.wrench is not None or super().is_set()

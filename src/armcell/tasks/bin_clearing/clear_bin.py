@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from armcell.core import ErrorCode, InputError, NamedGoal, Outcome
-from armcell.grasping import HeapGrasp, TopDownGraspSettings, hand_of, top_down_grasps
+from armcell.grasping import (
+    HeapGrasp,
+    HeapPush,
+    TopDownGraspSettings,
+    hand_of,
+    pushes_off_walls,
+    top_down_grasps,
+)
 from armcell.model import Gripper, SuctionGripper
 from armcell.planning import warm_up
+from armcell.tasks.bin_clearing.push import PushPiece
 from armcell.tasks.bin_clearing.settings import BinClearingSettings
 from armcell.tasks.bin_clearing.stages import (
     HEAP,
@@ -55,8 +63,10 @@ class BinClearingCounts:
     missed: int = 0  # closed without an object, or lost during the lift
     dropped: int = 0  # lost in transit
     unplanned: int = 0  # looks without a reachable grasp
+    pushes: int = 0  # pushes of a piece off a wall
     in_a_row: int = 0  # failures since the last success
     avoid: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], turn [rad]
+    pushed: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], direction [rad]
 
     def as_dict(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if isinstance(v, int) and k != "in_a_row"}
@@ -115,19 +125,31 @@ class _BinClearing:
         the tray.
         """
         ctx, s, counts = self.ctx, self.settings, self.counts
+        left: dict[str, str] = {}  # regions set aside, with the number of pieces in each
+        arm_is_away = False  # from the cameras' view
         while True:
             if ctx.cancel.is_set():
                 return self._end(ErrorCode.PREEMPTED, "cancelled")
-            here = first_not_empty(ctx, regions, s)
+            here = first_not_empty(ctx, [(eye, r) for eye, r in regions if r.name not in left], s)
             if isinstance(here, Outcome):
+                if here.ok and not arm_is_away and counts.picks + counts.pushes > 0:
+                    self._leave_view()  # the arm may hide a piece beside the tray
+                    arm_is_away = True
+                    continue
+                if here.ok and left:
+                    last = f"{s.most_misses} picks in a row brought nothing"
+                    return self._given_up(last, left.values())
                 return self._end(here.code, here.message)
-            if counts.in_a_row >= s.most_misses or counts.picks >= s.most_picks:
-                last = f"{counts.in_a_row} picks in a row brought nothing"
-                if counts.in_a_row < s.most_misses:
-                    last = f"{counts.picks} picks are all that was allowed"
-                where = f"{here.count} {here.region.name}"
-                return self._end(ErrorCode.FAILURE, f"given up, {last}; pieces still seen: {where}")
+            where = f"{here.count} {here.region.name}"
+            if counts.picks >= s.most_picks:
+                last = f"{counts.picks} picks are all that was allowed"
+                return self._given_up(last, [*left.values(), where])
+            if counts.in_a_row >= s.most_misses:
+                left[here.region.name] = where
+                counts.in_a_row = 0
+                continue
             add_heap(ctx, here)
+            arm_is_away = False
             pick = _PickFromHeap(self, here)
             outcome = pick.run()
             if outcome.ok:
@@ -135,12 +157,43 @@ class _BinClearing:
             if outcome.code is ErrorCode.PREEMPTED:
                 continue
             if outcome.ok:
-                counts.in_a_row, counts.avoid = 0, counts.avoid[-6:]
+                counts.in_a_row, counts.avoid, counts.pushed = 0, counts.avoid[-6:], []
                 continue
             counts.in_a_row += 1
             ctx.emit("note", f"clearing {self.bin}: {outcome.message}")
+            if outcome.code is ErrorCode.PLANNING_FAILED and len(counts.pushed) < s.most_pushes:
+                outcome = self._push(here)
             if outcome.code in _FINAL:
                 return self._end(outcome.code, outcome.message)
+
+    def _given_up(self, last: str, where: Iterable[str]) -> Outcome:
+        text = f"given up, {last}; pieces still seen: {', '.join(where)}"
+        return self._end(ErrorCode.FAILURE, text)
+
+    def _push(self, here: RegionView) -> Outcome:
+        """Push a piece that the hand does not fit around off the walls, if such a push is found."""
+        ctx, gripper, counts, t = self.ctx, self.gripper, self.counts, self.ctx.settings
+        hand = hand_of(ctx.base.model, gripper)
+        pushes = pushes_off_walls(
+            here.map, here.labels, here.cells, here.region.floor, hand, self.settings.pushes, counts.pushed
+        )
+        if not pushes:
+            return Outcome(
+                ErrorCode.PLANNING_FAILED, f"no push moves a piece {here.region.name} off its wall"
+            )
+        stages = grasp_stages(
+            ChooseFromHeap(pushes, gripper, t.near, t.approach_distance), gripper, t,
+            PushPiece(gripper, self.settings.push, self.settings.push_force), name="move to push",
+        )  # fmt: skip
+        solution, outcome = plan_stages(ctx, stages, f"push {here.region.name}")
+        if solution is None:
+            return outcome
+        push: HeapPush = solution.data["grasp"]
+        counts.pushes += 1
+        counts.pushed.append((*push.T_object_tcp.translation[:2].tolist(), push.angle))
+        outcome = perform_all(ctx, opened_in_transit(ctx.scene(), solution.steps))
+        self.retreat(push.opening)
+        return outcome
 
     def _end(self, code: ErrorCode, message: str) -> Outcome:
         return Outcome(code, message, self.counts.as_dict())

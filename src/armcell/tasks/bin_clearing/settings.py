@@ -5,7 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from armcell.core.checks import checked, require
-from armcell.grasping import TopDownGraspSettings
+from armcell.grasping import PushSettings, TopDownGraspSettings
+from armcell.tasks.settings import Speed
+
+_POSITIVE = (
+    "force", "lift", "above_floor", "resolution", "gap", "spot_radius", "pile", "max_age", "push_force",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -23,12 +28,17 @@ class BinClearingSettings:
     pile: float = 0.10  # above the tray's floor; the tray is full if all points are higher
     most_misses: int = 8  # maximum number of failed picks in a row
     most_picks: int = 60
-    thinnest: float = 0.0015  # fingers closer together are empty
+    most_pushes: int = 4  # maximum number of pushes in a row without a pick
+    thinnest: float = 0.0005  # fingers closer together are empty; sheet metal is 1 mm thick
     max_age: float = 0.5  # [s] maximum age of an image
     grasps: TopDownGraspSettings = TopDownGraspSettings()
+    push: Speed = Speed(0.15, 0.2)  # speed of pushes off a wall
+    push_force: float = 40.0  # [N] on the hand, at which a push ends
+    pushes: PushSettings = PushSettings()
 
     def __post_init__(self) -> None:
-        for name in ("force", "lift", "above_floor", "resolution", "gap", "spot_radius", "pile", "max_age"):
+        for name in _POSITIVE:
             require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
         for name in ("most_misses", "most_picks"):
             require(getattr(self, name) >= 1, f"{name} is {getattr(self, name)}, it must be at least 1")
+        require(self.most_pushes >= 0, f"most_pushes is {self.most_pushes}, it must not be negative")

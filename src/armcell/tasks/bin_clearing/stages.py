@@ -13,7 +13,7 @@ import numpy as np
 
 from armcell.core import SE3, SO3, Box, ErrorCode, Outcome, PlanResult, Shape
 from armcell.drivers import GripperReading
-from armcell.grasping import HeapGrasp
+from armcell.grasping import Grasp, HeapGrasp
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.context import StageReport, TaskContext
@@ -30,6 +30,9 @@ HEAP = "heap"
 """Name of the camera's points in the bin, in the planning scene."""
 HELD = "held object"
 """Name of the held object in the planning scene."""
+FREE = 0.008  # [m] opening beyond the held width at which an object has left the fingers
+MOVES = 3e-4  # [m] by which fingers that move open within `STOPPED`
+STOPPED = 0.1  # [s]
 WIDEST = 0.06  # [m] largest assumed half length of a held object
 
 
@@ -42,7 +45,7 @@ class ChooseFromHeap:
     The order of the given grasps is kept.
     """
 
-    grasps: Sequence[HeapGrasp]
+    grasps: Sequence[Grasp]
     gripper: Gripper
     speed: Speed
     distance: float  # [m] of the approach
@@ -217,14 +220,37 @@ class CheckObjectInFingers:
 
 @dataclass(frozen=True, eq=False)
 class Drop:
-    """Step of bin clearing that opens the fingers and removes the dropped object from the scene."""
+    """Step of bin clearing that opens the fingers and removes the dropped object from the scene.
+
+    A wall or piece that stops the fingers after the object is free does no harm.
+    """
 
     grip: CommandGripper
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        outcome = self.grip.perform(ctx)
+        outcome = staged(ctx, StageReport(self.grip.name), lambda: self._open(ctx))
         detach_held(ctx)
         return outcome
+
+    def _open(self, ctx: TaskContext) -> Outcome:
+        driver, name = ctx.driver, self.grip.gripper.name
+        free = driver.gripper(name).width + FREE
+        self.grip.start(ctx)
+        end = driver.now + ctx.settings.gripper_timeout
+        widest, since = 0.0, driver.now
+        while abs((width := driver.gripper(name).width) - self.grip.width) >= 1e-3:
+            if ctx.cancel.is_set():
+                return Outcome(ErrorCode.PREEMPTED, "cancelled")
+            if width > widest + MOVES:
+                widest, since = width, driver.now
+            if width >= free and driver.now - since > STOPPED:
+                break
+            if driver.now >= end:
+                text = f"gripper stands at {1000 * width:.1f} mm, wanted {1000 * self.grip.width:.1f} mm"
+                return Outcome(ErrorCode.CONTROL_FAILED, text)
+            ctx.advance(0.02)
+        ctx.advance(self.grip.settle)
+        return DONE
 
 
 def holds(reading: GripperReading, thinnest: float) -> bool:

@@ -23,13 +23,25 @@ Rectangle = tuple[tuple[float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True)
+class Container:
+    """Bin or tray beside which objects may rest: its outline, the inside of its walls, and the heights of its
+    floor and walls [m, world z].
+    """
+
+    outline: Rectangle
+    inside: Rectangle
+    floor: float
+    top: float
+
+
+@dataclass(frozen=True)
 class WorkRegion:
     """Work region of bin clearing: a level area on which objects may rest."""
 
     name: str
     rectangle: Rectangle
     floor: float  # [m, world z]
-    without: tuple[Rectangle, ...] = ()  # parts that other objects occupy
+    without: tuple[Container, ...] = ()  # containers on the level area
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +53,7 @@ class RegionView:
     region: WorkRegion
     map: HeightMap
     labels: NDArray[np.int64]
+    cells: NDArray[np.bool_]  # of the map, over the work region
 
     @property
     def count(self) -> int:
@@ -83,8 +96,16 @@ def table_around(
     low = np.maximum(frame.translation[:2] - half, (x0, y0))
     high = np.minimum(frame.translation[:2] + half, (x1, y1))
     corner = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
-    without = tuple(_outline(scene.object(n), 2 * s.resolution) for n in others)
+    without = tuple(_container(scene, n, s) for n in others)
     return WorkRegion(f"beside {name}", corner, float(frame.translation[2]), without)
+
+
+def _container(scene: PlanningScene, name: str, s: BinClearingSettings) -> Container:
+    """Return the outline and the inside of a bin or tray, to search for objects beside it."""
+    item, floor = scene.object(name), floor_of(scene, name, s)
+    low, high = item.bounds()
+    top = max(float(item.T_world_object.apply(np.array([corner]))[0, 2]) for corner in (low, high))
+    return Container(_outline(item, 2 * s.resolution), floor.rectangle, floor.floor, top)
 
 
 def _outline(item: CollisionObject, room: float) -> Rectangle:
@@ -137,12 +158,37 @@ def view_region(
     seen = height_map(image, ctx.scene(), low, high, region.floor, s.resolution)
     inside = seen.cells_within(*region.rectangle)
     for other in region.without:
-        inside &= ~seen.cells_within(*other)
+        inside &= ~seen.cells_within(*other.outline)
     labels = label_pieces(seen, inside, region.floor + s.above_floor)
+    for other in region.without:
+        labels = _without_contained(seen, labels, other, s.above_floor)
     # the fingertips may go 3 mm above the floor, less than the noise of a camera
     bare = inside & (labels < 0) & (seen.heights <= region.floor + s.above_floor)
     level = replace(seen, heights=np.where(bare, region.floor, seen.heights))
-    return RegionView(region, level, labels)
+    return RegionView(region, level, labels, inside)
+
+
+def _without_contained(
+    seen: HeightMap, labels: NDArray[np.int64], container: Container, above: float
+) -> NDArray[np.int64]:
+    """Return the labels without the pieces that belong to an object in a container which leans over its wall.
+
+    The object counts as contained if at least half of what the camera sees of it is over the container.
+    """
+    over, inside = seen.cells_within(*container.outline), seen.cells_within(*container.inside)
+    wall = over & ~inside
+    where = labels >= 0
+    where |= inside & (seen.heights > container.floor + above)
+    where |= wall & (seen.heights > container.top + above)
+    objects = label_pieces(seen, where, -np.inf)
+    found = labels.copy()
+    for k in np.unique(objects[(objects >= 0) & (labels >= 0)]):
+        cells = objects == k
+        if np.count_nonzero(cells & over) >= np.count_nonzero(cells & ~over):
+            found[np.isin(labels, labels[cells & (labels >= 0)])] = -1
+    kept = found >= 0
+    found[kept] = np.unique(found[kept], return_inverse=True)[1]
+    return found
 
 
 def add_heap(ctx: TaskContext, seen: RegionView) -> None:

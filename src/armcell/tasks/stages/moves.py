@@ -238,7 +238,7 @@ def with_contacts(scene: PlanningScene, allow: tuple[tuple[str, tuple[str, ...]]
 def with_motion(
     solution: PartialSolution, planning: SearchState, name: str, result: PlanResult,
     outcome: Outcome | None = None, planned_in: PlanningScene | None = None,
-    asked: Mapping[str, Any] = MappingProxyType({}),
+    asked: Mapping[str, Any] = MappingProxyType({}), kind: Callable[..., Motion] = Motion,
 ) -> Iterator[PartialSolution]:  # fmt: skip
     """Yield the partial solution extended by a planned motion of the arm. If planning has failed, reject the
     candidate and yield nothing.
@@ -248,13 +248,14 @@ def with_motion(
             candidate's state: a collision at such a start must not end the whole search.
         planned_in: the scene with the contacts allowed during this motion, if there are any.
         asked: data of the request, for the record.
+        kind: the step that executes the motion.
     """
     trajectory = result.trajectory
     if not result.ok or trajectory is None:
         planning.reject(name, solution.data.get("candidate", ""), result.message, outcome)
         return
     scene = solution.scene if planned_in is None else planned_in
-    motion = Motion(
+    motion = kind(
         name, trajectory, result.planner_id, result.planning_time, result.min_clearance, scene,
         {**asked, **result.evidence},
     )  # fmt: skip
