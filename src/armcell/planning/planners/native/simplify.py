@@ -163,14 +163,14 @@ def _simplified(k, path, count, p, at, first, last, mode, stop, proofs):
         count, changed = _round_corners(k, p, count, m, first, last, at, mode, proofs)
         if not changed:
             break
-    # Changed edges keep the padding; edges of the search need only be free.
-    for state, how in ((CHANGED, mode | FIRST), (ORIGINAL, np.int64(FIRST))):
+    # Changed edges keep the padding and pass no obstacle closely; edges of the search need only be free.
+    for state, how, finest in ((CHANGED, mode | FIRST, COARSE), (ORIGINAL, np.int64(FIRST), FINEST)):
         n = 0
         for i in range(count - 1):
             if p[i * width + dof] == state:
                 first[n], last[n] = i * width, (i + 1) * width
                 n += 1
-        if n > 0 and prove(k, p, first, last, n, at, how, FINEST) != 0:
+        if n > 0 and prove(k, p, first, last, n, at, how, finest) != 0:
             return 0
     return count
 
