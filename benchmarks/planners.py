@@ -132,7 +132,8 @@ The tables describe four planning problems, and compare all planners of all pipe
 Each entry of the second table contains the number of solved runs, the median CPU time of the solved runs (all
 threads of the process) and the median path length of the solved runs. The CPU time covers planning from the
 request to a proven and timed motion.
-`make bench-planners` writes this page ({seeds} seeds, {seconds:g} s of planning time each, {machine}).
+`make bench-planners` writes this page. Each planner plans each problem with {seeds} seeds and {seconds:g} s
+of planning time per seed, on an {machine} machine.
 
 Anytime planners continue to improve a path until a time limit. OMPL's AORRTC, BIT*, PRM*, RRT* and
 similar planners stop after 1 s if they have a solution; the native AORRTC uses the whole planning time

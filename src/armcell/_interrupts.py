@@ -441,8 +441,8 @@ def _raise_again() -> None:
 
 
 def _do(which: Callable[[_Will], bool], seconds: float) -> None:
-    """Run the selected cleanup actions of an interrupted program in parallel threads, and wait for all
-    threads for at most `seconds` [s].
+    """Run the selected cleanup actions of an interrupted program in parallel threads. Wait for them at most
+    `seconds` [s].
     """
 
     def run(act: Callable[[], object]) -> threading.Thread:

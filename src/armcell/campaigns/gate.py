@@ -120,8 +120,8 @@ def issue(
 
 
 def check_reason(allow_unvaried: str | None) -> None:
-    """Raise an error if the user's reason for the option `--allow-unvaried` is blank. This option lets the
-    gate before real arms accept a campaign of identical trials.
+    """Raise an error if the reason that the user gives with the option `--allow-unvaried` is blank. This
+    option permits a gate record for a campaign that varies nothing.
 
     Raises:
         InputError: the reason contains no words.
@@ -133,8 +133,8 @@ def check_reason(allow_unvaried: str | None) -> None:
 
 
 def check_draws(cell: Cell) -> None:
-    """Check for the gate before real arms that the trials of a campaign would differ in more than the
-    planners' seed. Otherwise, reject the cell.
+    """Check that the trials of a campaign for a gate record would differ in more than the planners' seed.
+    Otherwise, reject the cell.
 
     `armcell gate` calls this function before it runs the campaign.
 

@@ -258,9 +258,9 @@ class ProcessWorker(Worker):
 
 
 class Processes(Workers[ProcessWorker]):
-    """Workers of a trial pool that are `count` local processes, in which a campaign's trials run.
+    """The `count` local processes that run a campaign's trials as the workers of a trial pool.
 
-    It starts, polls and stops the processes.
+    This class starts, polls and stops the processes.
     """
 
     def __init__(self, spec: CampaignSpec, count: int):

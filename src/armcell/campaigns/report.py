@@ -248,8 +248,8 @@ def _drawn(values: dict[str, Any]) -> str:
 
 
 def _linked(number: int, folder: Path) -> str:
-    """Return an HTML snippet that shows a trial's number in a campaign report. If a picture of the trial
-    exists, the snippet is a link to this picture.
+    """Return a trial's number as HTML for a campaign report. The number links to a picture of the trial, if
+    there is one.
     """
     there = os.path.exists(picture_file(folder, number))
     return f'<a href="#trial_{number}">{number}</a>' if there else str(number)

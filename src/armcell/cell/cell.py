@@ -399,8 +399,8 @@ def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:
 
 
 def _with_friction(material: Material, static: float | None) -> Material:
-    """Return the material of a cell's object with a new static friction.
-    The ratio of static to dynamic friction stays the same.
+    """Return the material of a cell's object with a new coefficient of static friction. The dynamic friction
+    changes in proportion.
     """
     if static is None:
         return material

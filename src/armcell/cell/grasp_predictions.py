@@ -61,8 +61,8 @@ class HoldResult:
 
     @property
     def firmly(self) -> bool:
-        """Return whether the pick that tests a grasp prediction held the object firmly: to the end, and with
-        slip and rotation in the hand within the limits.
+        """Return whether the hand held the object firmly in the pick that tests a grasp prediction: until the
+        end, and with slip and rotation within the limits.
         """
         if not self.to_the_end or self.slip_m is None or self.turn_rad is None:
             return False

@@ -469,7 +469,8 @@ class LiveCell:
         self, into: Mapping[str, str], camera: str, by: str | Kind = "color",
         settings: SortSettings = SortSettings(),
     ) -> Outcome:  # fmt: skip
-        """Place every object that a camera of the live cell sees on the target for its color or shape.
+        """Sort the objects that a camera of the live cell sees: place each object on the target for its color
+        or shape.
 
         Example: `cell.sort({"red": "red_mat", "blue": "blue_mat"}, camera="above")`
         """

@@ -98,8 +98,8 @@ class CellRenderer:
             self._wake.notify()
 
     def close(self) -> None:
-        """End the process that renders images for a cell's live cameras, after it has rendered all images of
-        key moments that are still waiting.
+        """End the process that renders images for a cell's live cameras. If images of key moments are still
+        waiting, the process renders them first.
         """
         with self._wake:
             self._closing = True

@@ -118,8 +118,8 @@ class PerceivingDriver(DriverProxy):
         return {**others, **self._seen.poses}
 
     def correct_object_pose(self, name: str, T_world_object: SE3) -> None:
-        """Correct the pose of a perceived object that no camera sees at present. The wrapped driver corrects
-        the poses of the objects that it reports.
+        """Correct the last detected pose of a perceived object. For every other object, let the wrapped
+        driver correct the pose.
         """
         if name not in self._seen.poses:
             return self._driver.correct_object_pose(name, T_world_object)

@@ -48,7 +48,8 @@ _Sized: Any = create_model("_Sized", __base__=Strict, **_SIZED_FIELDS)
 
 
 class SomeShape(_Sized, Strict):
-    """Part of the cell file schema that accepts at most one shape. The keys are armcell's shape names.
+    """Cell file schema for at most one shape, as a part of another entry. The keys are the names of armcell's
+    shapes.
 
     Attributes:
         package_shape: value by name of a shape of an installed package; cell files have the name as key.

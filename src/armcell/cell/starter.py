@@ -146,7 +146,7 @@ class _Layout:
         return float(self.table.T_world_object.translation[2]) + THICK / 2
 
     def words(self, reach: float) -> dict[str, object]:
-        """Return the layout's entries in the text of a starter cell."""
+        """Return the values that the layout of a starter cell inserts into the text of the cell file."""
         x, y, z = (round(float(v), 4) for v in self.table.T_world_object.translation)
         side = local_bounds(self.table.shapes[0][0])[1][0] * 2
         eye, target = np.array([1.8, -1.8, 1.3]) * reach, [0.0, 0.0, 0.2]
@@ -193,7 +193,8 @@ def _in_front(model: RobotModel, shoulder: NDArray[np.float64], reach: float) ->
 def _below_gripper(
     model: RobotModel, points: NDArray[np.float64], reach: float, bottom: float
 ) -> Iterator[_Layout]:
-    """Yield layouts with a raised table below the region where the gripper can point down most often.
+    """Yield layouts of a starter cell with a raised table. The table is below the region in which the gripper
+    most often points down in random states.
 
     Some arms reach only a narrow region: with a gripper that points down, the telescope of a Stretch reaches
     the points near a line beside its base. The cube and its goal are along the region's long side.
@@ -218,8 +219,8 @@ def _below_gripper(
 
 
 def _reached_first(layouts: Iterable[_Layout], points: NDArray[np.float64], near: float) -> Iterator[_Layout]:
-    """Yield the layouts whose cube and goal are at most `near` [m] from one of the points (n, 2) [m] first,
-    and then the others.
+    """Yield the layouts of a starter cell in order of preference: first those in which the cube and the goal
+    are each within `near` [m] of a point that the arm reaches (n, 2) [m], then the others.
     """
     far = []
     for layout in layouts:
@@ -233,8 +234,8 @@ def _reached_first(layouts: Iterable[_Layout], points: NDArray[np.float64], near
 
 
 def _pointing_down(model: RobotModel, arm: Group) -> NDArray[np.float64]:
-    """Return the positions (n, 3) [m] of an arm's gripper in the random states in which it points down. They
-    are empty for an arm without a gripper.
+    """Return the positions (n, 3) [m] of an arm's gripper in those random states in which it points down, to
+    lay out a starter cell. The array is empty for an arm without a gripper.
     """
     gripper = next((g for g in model.grippers.values() if g.arm_group == arm.name), None)
     if gripper is None:
@@ -252,7 +253,9 @@ def _pointing_down(model: RobotModel, arm: Group) -> NDArray[np.float64]:
 
 
 def _range(model: RobotModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the joints' limits, (dof,) each; a joint without limits makes one turn."""
+    """Return the lower and upper limits (dof,) between which joint states for a starter cell are sampled. A
+    joint without limits gets the range of one turn.
+    """
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     return low, np.where(np.isfinite(model.upper), model.upper, np.pi)
 
@@ -272,8 +275,8 @@ def _edge(gripper: Gripper) -> float:
 
 
 def _settings(reach: float, sag: float) -> str:
-    """Return the block `settings` for the starter cell of a small arm or of an arm with soft servos.
-    Straight approach and lift distances of a small arm are a tenth of the reach.
+    """Return the block `settings` of a starter cell whose arm is small or has soft servos. A small arm
+    approaches and lifts by a tenth of its reach.
     """
     entries, why = [], []
     if reach < SMALL:
@@ -287,8 +290,9 @@ def _settings(reach: float, sag: float) -> str:
 
 
 def _sag(model: RobotModel, arm: Group, mass: float) -> float:
-    """Return by how much [rad] the joints of a stretched-out arm may miss their targets while the arm holds
-    the cube of the starter cell, with a margin of 50 %. It is 0 without servos of an MJCF file.
+    """Estimate by how much [rad] a joint of a stretched-out arm may miss its target while the arm holds the
+    cube of the starter cell, with a margin of 50 %. The result is 0 if no revolute joint has a servo from an
+    MJCF file.
 
     A proportional servo gives way by load / stiffness.
     """
@@ -323,8 +327,8 @@ def _shoulder(model: RobotModel, arm: Group) -> NDArray[np.float64]:
 
 
 def _reach(model: RobotModel, arms: Sequence[Group], center: NDArray[np.float64]) -> float:
-    """Return the horizontal reach [m] of arms (or of the last link, if there is no arm) from a point `center`
-    (3,) [m], which determines the layout of a starter cell.
+    """Return the horizontal reach [m] of the arms from a point `center` (3,) [m], for the layout of a starter
+    cell. Without an arm, it is the reach of the last link.
     """
     tree, rng = kinematic_tree(model), np.random.default_rng(0)
     low, high = _range(model)

@@ -166,7 +166,7 @@ def result_of(
     cell: Cell, live: LiveCell, seed: int | None, mode: str, outcome: Outcome, wall: float,
     placements: Sequence[tuple[str, Placement]] = (),
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the result of a run that another program controlled, in the same format as `run_task`.
+    """Return the result of a task run that another program controlled, in the same format as `run_task`.
 
     Args:
         live: the connected cell; call this function in the thread that steps it.

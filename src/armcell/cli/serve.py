@@ -304,7 +304,8 @@ def sim(
 
 
 def address(text: str) -> tuple[str, int]:
-    """Split the address `host:port` of the endpoint to which `armcell sim` serves a cell into host and port.
+    """Parse the address HOST:PORT of the ROS-TCP endpoint to which `armcell sim` serves a cell. Return the
+    host and the port.
 
     Raises:
         InputError: the text does not have this form, or the port is out of range.

@@ -298,8 +298,8 @@ def setup(
 
 @contextmanager
 def _without_model_warnings() -> Iterator[None]:
-    """Keep the loaders quiet while `armcell setup` loads the robot that it has written: it has the faults of
-    the source, which are reported already.
+    """Silence the warnings of the model loaders while `armcell setup` loads the robot that it has written.
+    They would repeat the faults of the source files, which setup has already reported.
     """
     logger = logging.getLogger("armcell.model")
     level = logger.level

@@ -103,8 +103,8 @@ class MotionBound:
                     self.per_joint[p, k] += levers[a][joint] + levers[b][joint]
 
     def along(self, dq: Array) -> Array:
-        """Return upper bounds (p,) [m] on how far the geometries of each pair move relative to each other
-        when joints change by dq (n,), to certify a motion.
+        """Return upper bounds (p,) [m] on the relative motion of the geometries of each pair when the joints
+        change by dq (n,), to certify a motion.
         """
         moving = np.abs(dq) > 0  # avoids 0 * inf for levers of infinite length
         return self.per_joint[:, moving] @ np.abs(dq)[moving]

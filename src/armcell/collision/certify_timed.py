@@ -81,8 +81,8 @@ def certify_timed(
 
 
 class _Moving:
-    """The robot and the moving obstacles at one time of a motion to certify. Also holds the body pairs to
-    check and the motion bounds of these pairs.
+    """The robot and the moving obstacles at one time of a motion to certify, together with the body pairs to
+    check and bounds on the motion of each pair.
     """
 
     def __init__(self, scene, trajectory, moving, start_time, clearance):

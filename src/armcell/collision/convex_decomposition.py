@@ -95,11 +95,13 @@ class MeshPart:
 
     @property
     def hull_volume(self) -> float:
-        """Return the volume [m^3] of the part's convex hull."""
+        """Return the hull volume [m^3] of one part of a mesh during the mesh's convex decomposition."""
         return _hull(self.points)[0]
 
     def clipped(self, axis: int, at: float, side: float) -> MeshPart:
-        """Return the part with side * (x[axis] - at) <= 0."""
+        """Cut a part of a mesh at a plane normal to an axis. Return the half with side * (x[axis] - at) <= 0,
+        for the convex decomposition.
+        """
         height = side * (self.points[:, axis] - at)
         above = (height > 0)[self.triangles]
         count = above.sum(1)
@@ -171,8 +173,8 @@ def convex_hull_mesh(triangles: Array) -> Mesh:
 
 
 def _best_cut(part: MeshPart, whole: float, least: float) -> _CutMesh:
-    """Find the axis-aligned plane that best cuts a mesh in two for its convex decomposition. The mesh's hull
-    has the volume `whole` [m^3].
+    """Find the best axis-aligned cut through a mesh for its convex decomposition: the cut that saves the most
+    hull volume. The hull of the whole mesh has the volume `whole` [m^3].
 
     The saving is less than `least` [m^3] if no cut saves as much.
     """
@@ -220,8 +222,8 @@ def _largest_savings(part: MeshPart, planes: Array, whole: float) -> Array:
 
 
 def evenly_spread(count: int) -> Array:
-    """Return unit vectors (count, 3) that are evenly spread (Fibonacci sphere). Along these directions, the
-    convex decomposition searches the extreme points of a mesh.
+    """Return evenly spread unit vectors (count, 3) from a Fibonacci sphere. The convex decomposition searches
+    for the extreme points of a mesh in these directions.
     """
     z = (2 * np.arange(count) + 1) / count - 1
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
@@ -234,9 +236,10 @@ _DIRECTIONS = evenly_spread(32)
 
 @njit(cache=True)
 def _extreme_points(points, triangles, planes, directions):
-    """Return the points (n, 3) that are farthest in each direction (d, 3), by axis and slab between two
-    planes (3, k + 1, d, 3), and the same of the sections of the triangles (m, 3) with the planes (3, k, d,
-    3).
+    """Find extreme points of a mesh in the directions (d, 3), for its convex decomposition: among the points
+    (n, 3) in each slab between planes, and among the cuts of the triangles (m, 3) with each plane.
+
+    Return arrays (3, k + 1, d, 3), by axis and slab, and (3, k, d, 3), by axis and plane.
 
     The points are NaN where there are none.
     """
@@ -285,8 +288,8 @@ def _extreme_points(points, triangles, planes, directions):
 
 
 def cut_corners(triangles: Array, height: Array, odd: NDArray[np.intp]) -> tuple[Array, ...]:
-    """Cut triangles (n, 3, 3) of a mesh to decompose at a plane that separates one corner of each triangle
-    from the other two.
+    """Cut the triangles (n, 3, 3) of a mesh at a plane, as a step of its convex decomposition. The plane
+    separates one corner of each triangle from the other two.
 
     Args:
         height: signed distances (n, 3) of the corners from the plane.

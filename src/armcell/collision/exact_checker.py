@@ -292,8 +292,8 @@ class ExactChecker:
         self.relaxed_margins(q)
 
     def relaxed_margins(self, q: ArrayLike) -> dict[tuple[str, str], float]:
-        """Reduce the exact checker's padding like `relax_margins` does. Return the reduced padding [m] of
-        each pair (body, object) that is closer at q (n,) than its padding.
+        """Reduce the exact checker's padding for body pairs that are closer at q (n,) than their padding.
+        Return the reduced padding [m] of each of these pairs (body, object).
         """
         self.set_configuration(q)
         lowered: dict[tuple[str, str], float] = {}

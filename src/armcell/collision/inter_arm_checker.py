@@ -34,8 +34,8 @@ FINE = 0.01  # [rad] smallest boxes of joint positions in `certify_any_time`
 
 @lru_cache(maxsize=64)
 def moved_links(model: RobotModel, group: str) -> frozenset[str]:
-    """Return the links that the joints of an arm move, including links mounted on them.
-    Used to check the arms against each other.
+    """Return all links that move with the joints of an arm, including links that are mounted on the arm, for
+    checks between arms.
     """
     tree, columns = kinematic_tree(model), set(model.columns(model.group(group).joint_names))
     return frozenset(
@@ -83,8 +83,8 @@ def _are_tested(a: int | None, b: int | None, focus: int | None) -> bool:
 
 @lru_cache(maxsize=64)
 def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the arm groups that make up a planning group, to check the arms against each other.
-    Empty if the group is a single arm.
+    """Return the groups of the single arms in a planning group, to check these arms against each other. The
+    result is empty if the group is a single arm.
 
     The result has two or more groups, and no arm moves a link of another. A group of several arms is never
     part of the result, only its arms are.
@@ -294,8 +294,8 @@ class InterArmChecker:
         return found
 
     def contact(self, q: ArrayLike) -> Contact | None:
-        """Return the nearest inter-arm pair, that is, two bodies of different arms, at configuration q
-        (n,).
+        """Return the two bodies of different arms that are nearest to each other at configuration q (n,)
+        (inter-arm pair).
         """
         return self.exact.nearest(q)
 

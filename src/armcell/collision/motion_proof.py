@@ -88,8 +88,8 @@ def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iter
 
 
 def _links_moved(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> F64:
-    """Return upper bounds (links,) [m] on the displacement of each link by joints outside the motion to
-    prove.
+    """For a motion proof, return upper bounds (links,) [m] on how far joints outside the motion have
+    displaced each link since planning.
     """
     model = scene.model
     q, columns = planned.positions.copy(), model.columns(joint_names)
@@ -175,8 +175,8 @@ class ActiveMotion:
         return max(self.trajectory.duration - self.passed, 0.0)
 
     def positions(self, after: F64) -> F64:
-        """Return the joint positions (k, n) that a motion to prove commands at times (k,) [s]. They are
-        constant after the motion has ended.
+        """Return the joint positions (k, n) at times (k,) [s] of an active motion, to prove it
+        collision-free. The positions are constant after the end of the motion.
         """
         q = positions_at(self.trajectory, self.passed + after)
         return q if self.blend is None else q + positions_at(self.blend, self.passed + after)
@@ -191,8 +191,8 @@ class ActiveMotion:
         return most if self.blend is None else most + acceleration_bounds(self.blend)
 
     def knots(self) -> F64:
-        """Return the times [s] from now at which one polynomial segment of a motion to prove ends and the
-        next begins.
+        """Return the times [s], counted from now, at which one polynomial segment of a motion in a motion
+        proof ends and the next one begins.
         """
         times = self.trajectory.times - self.passed
         if self.blend is not None:
@@ -325,8 +325,8 @@ def _pieces(
 
 
 def conflict_at_any_pace(scene: PlanningScene, motion: ActiveMotion, other: ActiveMotion) -> bool:
-    """Return whether a motion proof fails for two arms whose motions run at arbitrary times and speeds,
-    because the arms could touch.
+    """Return whether two arms could touch if each of them executes its motion at an arbitrary time and speed.
+    The result is False only if the motions are proven to keep the arms apart.
 
     A speed slider or a pause can slow down real arms at any time, so their relative timing is unknown. The
     result is also True if no certificate is possible, because the motions do not belong to two arms without

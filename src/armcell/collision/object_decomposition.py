@@ -56,8 +56,8 @@ VERSION = 3  # increase when the same mesh yields different pieces, to invalidat
 
 @dataclass(frozen=True, eq=False)
 class _Reflex:
-    """Reflex edges of a concave object: endpoints (e, 2, 3), three candidate cutting planes per edge (e, 3,
-    4), and weights (e,) equal to edge length times reflex angle.
+    """Reflex edges of a concave object, along which it can be cut: end points (e, 2, 3), three candidate
+    planes per edge (e, 3, 4), and weights (e,). A weight is the edge length times the reflex angle.
 
     A plane is a normal and an offset.
     """
@@ -141,8 +141,8 @@ class _Work:
             return 0.0
 
     def measure_depth(self, piece: _Piece) -> None:
-        """Measure the depth [m] of the deepest vertex of a concave object's piece inside the convex hull of
-        the piece.
+        """Measure how deep [m] a piece of a concave object is dented: the depth of its deepest vertex inside
+        its convex hull.
         """
         from scipy.spatial import ConvexHull, QhullError
 
@@ -259,8 +259,8 @@ def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
 
 
 def _candidates(piece: _Piece) -> Array:
-    """Return the candidate planes (k, 4) that may cut a piece of a concave object, as normal n and offset d
-    with n · x + d = 0.
+    """Return candidate planes (k, 4) for cutting a piece of a concave object, each as a normal n and an
+    offset d with n · x + d = 0.
     """
     points = piece.triangles.reshape(-1, 3)
     low, high = points.min(0), points.max(0)
@@ -316,8 +316,8 @@ def _reflex_edges(vertices: Array, faces: NDArray[np.int32]) -> _Reflex:
 
 
 def clip(triangles: Array, plane: Array) -> tuple[Array, Array]:
-    """Clip the triangles (n, 3, 3) of an object to decompose at a cutting plane (4,), given as normal and
-    offset.
+    """Clip the triangles (n, 3, 3) of a concave object at a cutting plane (4,), given as normal and offset,
+    to decompose the object.
 
     Returns:
         The part (k, 3, 3) with n x + d <= 0 without triangles in the plane, and the edges (e, 2, 3) of this

@@ -338,7 +338,8 @@ class SeparationChecker:
         return place, None
 
     def separating_until(self, points: Array, at: float) -> float:
-        """Return how far along a motion bodies in resting contact at the start keep moving apart.
+        """Return the position along a motion up to which bodies that start in resting contact keep moving
+        apart.
 
         The search starts at `at`; both positions are counted in edges. The result is the end if the pairs
         separate all the time.
@@ -371,8 +372,8 @@ class SeparationChecker:
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """Return the index of a body pair with a forbidden contact while a motion separates bodies in resting
-        contact, or None.
+        """Find a contact that is forbidden while a motion separates bodies in resting contact. Return the
+        index of the body pair, or None if there is no such contact.
 
         Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 
@@ -458,8 +459,8 @@ def _places(points: Array, at: float) -> Iterable[float]:
 
 
 def _along(at: float, share: float, rest: Array, edges: int) -> float:
-    """Convert a position on the remainder of a motion, after bodies have left resting contact, to a position
-    on the whole motion. Both positions are fractions from 0 to 1.
+    """Convert a position on the rest of a motion, which begins where bodies have left resting contact, to the
+    position on the whole motion. Both positions are fractions from 0 to 1.
 
     Args:
         at: position where the rest begins, counted in edges.

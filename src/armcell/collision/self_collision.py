@@ -245,8 +245,8 @@ def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
 
 
 def _nested_stages(model: RobotModel) -> list[tuple[frozenset[str], frozenset[str]]]:
-    """Return the pairs of stages of telescopes, each stage as its rigidly connected links. A telescope is a
-    chain of two or more sliding joints with parallel axes.
+    """Return the pairs of stages that belong to the same telescope: a chain of two or more sliding joints
+    with parallel axes. A stage is the set of its rigidly connected links.
     """
     T = {name: kinematic_tree(model).link_pose(model.neutral(), name) for name in model.links}
     stages = {link: frozenset(links) for links in model.rigid_groups for link in links}
@@ -360,8 +360,9 @@ class _Survey:
         return {names[n]: (int(counts[n]), len(close[n])) for n in numbers}, unproven
 
     def _near(self, sampler: PairSampler, pairs: I64) -> dict[int, I64]:
-        """Return for each given pair, as an index in the sampler's pairs, the first `COMPARED` sampled states
-        in which its links are nearer than `NEAR_DISTANCE`, as indices in `states`.
+        """Find sampled states in which the links of each given pair are nearer than `NEAR_DISTANCE`: at most
+        the first `COMPARED` states, as indices in `states`. A pair is given as an index in the sampler's
+        pairs.
         """
         near: dict[int, I64] = {n: np.zeros(0, np.int64) for n in pairs.tolist()}
         for start in range(0, len(self.states), FIRST):
@@ -407,7 +408,8 @@ class _Survey:
         return found
 
     def _hands(self) -> set[str]:
-        """Return the names of the groups that count as grippers in the search for self-collisions to disable.
+        """Return the names of the groups that count as grippers in the search for link pairs whose
+        self-collision check can be disabled.
 
         These are the groups of end effectors, and the groups that share no joint with a group that has a tip
         link.

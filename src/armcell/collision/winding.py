@@ -34,8 +34,8 @@ class _Tree(NamedTuple):
 
 
 class _Columns(NamedTuple):
-    """Triangles of a mesh, sorted into the columns of a grid that is regular in x and y, for winding numbers
-    of points in a mesh that is closed or nearly closed.
+    """Triangles of a mesh, sorted into the columns of a regular x-y grid to compute winding numbers of
+    points. The mesh must be closed or nearly closed.
 
     The coordinates are exchanged such that the mesh's shortest side is along z. Column c = i * shape[1] + j
     meets the triangles `inside[ends[c]:ends[c + 1]]`.
@@ -93,7 +93,7 @@ class WindingNumbers:
 
 
 def _columns(vertices, faces) -> _Columns:
-    """Sort the triangles of a mesh into columns."""
+    """Sort the triangles of a mesh into the columns of a grid in x and y, to compute winding numbers."""
     turn = 2 - int(np.ptp(vertices[faces.ravel()], axis=0).argmin())
     vertices = np.roll(vertices, turn, axis=1)
     corners = vertices[faces][:, :, :2]
@@ -107,7 +107,8 @@ def _columns(vertices, faces) -> _Columns:
 
 @njit(cache=True)
 def _triangles_by_column(first, last, shape):
-    """Return the ranges `ends` and the list `inside` of `_Columns`.
+    """Sort triangles into the columns of a grid to compute winding numbers. Return the ranges `ends` and the
+    list `inside` for `_Columns`.
 
     Args:
         first, last: (n, 2) indices of the columns at the corners of each triangle's box.
@@ -132,7 +133,9 @@ def _triangles_by_column(first, last, shape):
 
 @njit(cache=True)
 def _column_sums(points, columns):
-    """Return the winding numbers (m,) of points (m, 3) with coordinates exchanged as in the columns."""
+    """Compute the winding numbers (m,) of points (m, 3) in a mesh whose triangles are sorted into columns.
+    The coordinates of the points must be exchanged like those of the columns.
+    """
     v, out = columns.vertices, np.zeros(len(points))
     for p in range(len(points)):
         x, y, z = points[p]
@@ -157,9 +160,11 @@ def _column_sums(points, columns):
 
 @njit(cache=True)
 def _passes(x, y, vertices, a, b):
-    """Return 1 or -1 if an edge passes a point (x, y) on the side of larger x, toward larger or smaller y,
-    else 0. The rounding is the same for both directions of an edge, so neighboring triangles neither overlap
-    nor leave a gap.
+    """Count an edge for a winding number: return 1 if it crosses the ray from the point (x, y) in +x
+    direction toward larger y, -1 if it crosses the ray toward smaller y, and 0 otherwise.
+
+    The rounding is the same for both directions of an edge, so neighboring triangles neither overlap nor
+    leave a gap.
     """
     sign = 1
     if a > b:
@@ -175,7 +180,9 @@ def _passes(x, y, vertices, a, b):
 
 @njit(cache=True)
 def _height(x, y, a, b, c):
-    """Return the z coordinate of a triangle at a point (x, y) inside its outline."""
+    """Return the z coordinate at which the vertical line through (x, y) meets a triangle. A winding number
+    counts the triangles below a point.
+    """
     area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
     low, high = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
     if area == 0.0:
@@ -186,8 +193,8 @@ def _height(x, y, a, b, c):
 
 
 def _tree(vertices, faces) -> _Tree:
-    """Build a tree over the triangles of a mesh for winding numbers. The triangles are split at the median of
-    their box's longest edge until each leaf has at most LEAF.
+    """Build a tree over the triangles of a mesh for winding numbers. Each node is split at the median along
+    its longest axis until it has at most `LEAF` triangles.
     """
     corners = vertices[faces]
     centers, order = corners.mean(axis=1), np.arange(len(faces))
@@ -230,8 +237,8 @@ def _tree(vertices, faces) -> _Tree:
 
 
 def _border(faces, count: int):
-    """Return the edges (e, 3) at which a group of triangles (k, 3) ends: start vertex, end vertex, and how
-    often the triangles use this direction more than the other one. There are none if the group is closed.
+    """Return the border edges (e, 3) of a group of triangles (k, 3): start vertex, end vertex, and how many
+    more triangles use this direction than the opposite one. A closed group has no border.
 
     Args:
         count: number of vertices of the mesh.
@@ -273,7 +280,9 @@ def _half_angle(point, a, b, c):
 
 @njit(cache=True, inline="always")
 def _half_angle_up(point, a, b):
-    """Return half the solid angle [sr] of a triangle with two corners and the third at infinity along z."""
+    """Return half the solid angle [sr] of a triangle, seen from a point, to compute winding numbers. The
+    triangle has the corners a and b, and its third corner is at infinity along z.
+    """
     ax, ay, az = a[0] - point[0], a[1] - point[1], a[2] - point[2]
     bx, by, bz = b[0] - point[0], b[1] - point[1], b[2] - point[2]
     la = np.sqrt(ax * ax + ay * ay + az * az)

@@ -220,8 +220,8 @@ def _fits(value: Any, kind: str, infinite: bool) -> bool:
 
 
 def _class_fields(cls: type) -> list[tuple[str, Callable[[Any], bool], Any]]:
-    """Return the fields that the check of a dataclass covers, which contain texts or value types of armcell:
-    name, test of the value, and type annotation.
+    """Return the fields of a dataclass whose values are checked, because they are texts or value types of
+    armcell. Each entry has the field's name, the test of its value, and its type annotation.
     """
     tests = ((name, _test(hint), hint) for name, hint in get_type_hints(cls).items())
     return [(name, test, hint) for name, test, hint in tests if test is not None]
@@ -272,8 +272,8 @@ def _described(hint: Any) -> str:
 
 
 def _example(hint: Any) -> str | None:
-    """Return an example of a valid value for the message of a failed type check, from the `WRITTEN_AS` of the
-    annotated classes.
+    """Return an example of a valid value for the error message of a failed type check. It is taken from
+    `WRITTEN_AS` of the annotated classes.
     """
     while get_origin(hint) is tuple and ... in get_args(hint):
         hint = get_args(hint)[0]

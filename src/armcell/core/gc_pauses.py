@@ -25,7 +25,7 @@ def gc_frozen() -> Iterator[None]:
 
 @contextmanager
 def gc_paused() -> Iterator[None]:
-    """Prevent garbage collections in a `with` block that creates many objects which stay, such as an import.
+    """Prevent garbage collections in a `with` block that creates many long-lived objects, such as an import.
 
     With Python's thresholds, the collections take a fifth of the CPU time of `from armcell.cell import load`.
     """

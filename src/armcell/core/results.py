@@ -170,8 +170,8 @@ class Outcome:
         return self.code is ErrorCode.SUCCESS
 
     def explain(self, seconds: float = 10.0) -> Explanation:
-        """Explain a failed result and suggest changes that would help.
-        The search for changes takes about the given number of seconds.
+        """Explain the failure that this outcome reports, and suggest changes that would help. The search for
+        changes takes about `seconds`.
 
         Without a diagnosis for the kind of request, the explanation contains the code, the message and the
         contacts.

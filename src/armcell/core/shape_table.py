@@ -172,7 +172,8 @@ MeshFunction = Callable[..., tuple[ArrayLike, ArrayLike]]
 
 
 def register_shape(name: str) -> Callable[[MeshFunction], MeshFunction]:
-    """Decorator that adds a new kind of shape to the shape table. The decorated function makes its mesh.
+    """Return a decorator that adds a new kind of shape to the shape table. The decorated function creates the
+    mesh of the shape.
 
     The function takes the sizes [m] of the shape and returns vertices (v, 3) and faces (f, 3).
 

@@ -145,7 +145,7 @@ class DisturbedSim(SteppedSim):
         self.command(names, state.reindexed(names).positions, np.zeros(len(names)))
 
     def _act(self) -> None:
-        """Send the disturbed simulation all joint commands whose delay has elapsed."""
+        """Send each joint command of the disturbed simulation whose delay has elapsed."""
         while self._late and self._late[0][0] <= self._steps:
             _, names, q, v = self._late.popleft()
             self.world.set_arm_target(names, q, v)

@@ -312,7 +312,7 @@ class Driver(ABC):
     # --- streaming by the robot's clock: Capability.ROBOT_CLOCK ---
     @property
     def latency(self) -> float:
-        """Return how much [s] the joint state that a driver measures may lag behind the streamed
+        """Return the time [s] by which the joint state that a driver measures may lag behind the streamed
         setpoints.
         """
         raise self._incapable(Capability.ROBOT_CLOCK)

@@ -41,8 +41,8 @@ class ExecutionHandle(Protocol):
 
 
 class SetpointHistory:
-    """History from which an execution handle derives the progress of a streamed trajectory. It maps the time
-    at which each setpoint is due to the setpoint's time on the trajectory.
+    """History from which an execution handle derives the progress of a streamed trajectory. For each
+    setpoint, it stores the due time and the setpoint's time on the trajectory.
     """
 
     KEPT = 200  # points
@@ -51,8 +51,8 @@ class SetpointHistory:
         self._points: deque[tuple[float, float, NDArray[np.float64] | None]] = deque(maxlen=self.KEPT)
 
     def record(self, when: float, clock: float, off: NDArray[np.float64] | None = None) -> None:
-        """Record a setpoint streamed to execute a trajectory: the time at which the setpoint is due, and its
-        time on the trajectory.
+        """Record, for the handle of an executed trajectory, a streamed setpoint: the time at which it is due,
+        and its time on the trajectory.
 
         Args:
             when: monotonic time [s] at which the point is due.
@@ -62,8 +62,8 @@ class SetpointHistory:
         self._points.append((when, clock, off))
 
     def at(self, when: float) -> tuple[float, NDArray[np.float64] | None]:
-        """Look up the setpoint of an executed trajectory that is due at a monotonic time [s]. Return its time
-        on the trajectory [s] and its offset (n,) from the trajectory.
+        """For the handle of an executed trajectory, look up the streamed setpoint that is due at a monotonic
+        time [s]. Return its time on the trajectory [s] and its offset (n,) from the trajectory.
 
         Before the first and after the last recorded point, the nearest one applies.
         """

@@ -124,9 +124,9 @@ class FakeDriver(Driver):
             self._held[gripper] = (item, self._tcp(gripper).inverse() @ self._poses[item])
 
     def _between(self, gripper: str) -> str | None:
-        """Return the object that a fake gripper grasps, or None. Jaws grasp the object whose bounding
-        box contains the TCP or, if there is none, the nearest point before it between the ends of the pads;
-        a suction cup grasps an object within reach of its lip.
+        """Return the object that a fake gripper grasps, or None. Jaws grasp the object whose bounding box
+        contains the TCP or, otherwise, the nearest point along the pads. A suction cup grasps an object that
+        its lip reaches.
         """
         g, tcp = self._model.gripper(gripper), self._tcp(gripper)
         points = [tcp.apply((0.0, 0.0, depth)) for depth in np.linspace(0.0, g.pad_depth, DEPTHS)]

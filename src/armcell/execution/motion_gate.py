@@ -148,8 +148,8 @@ class MotionGate:
 
 
 class Executable(threading.Event, ABC):
-    """Base class of the motions that the executor accepts, guarded by a motion gate or explicitly ungated.
-    The executor rejects a bare trajectory.
+    """Base class of the motions that the executor accepts: motions that a motion gate guards, and motions
+    that are explicitly ungated. The executor rejects a bare trajectory.
 
     A motion gate checks a `GuardedMotion`; an `UngatedMotion` is executed without a check. Every motion is a
     `threading.Event`: call `set()` to stop it.
@@ -281,7 +281,8 @@ class GuardedMotion(Executable):
 
     # --- collision check ---
     def remaining_motion(self, scene: PlanningScene) -> ActiveMotion:
-        """Return the part of a motion guarded by the motion gate that the arm has not executed yet.
+        """Return the remaining part of a motion that the motion gate guards: the part that the arm has not
+        executed yet.
 
         Args:
             scene: measured scene; its joint state gives the progress if motions do not follow the clock.

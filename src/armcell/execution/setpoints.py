@@ -300,8 +300,8 @@ class CoupledSetpoints(SetpointSource):
             self._monitor.end("done" if outcome.ok else outcome.message)
 
     def _advance_clock(self) -> float:
-        """Advance the common clock of coupled arms by one setpoint period, and return the speed scaling of
-        the clock.
+        """Advance the common clock of coupled arms by one setpoint period. Return the factor by which the
+        clock is slowed at present.
         """
         period = self.driver.period
         scale = min(

@@ -157,8 +157,8 @@ def turned_grasp(item: CollisionObject, hand: Hand, grasp: Grasp, name: str, T_o
 
 
 def _narrows(surface: Surface, hand: Hand, up: Array, pose: Array, angle: float) -> bool:
-    """Return whether an object between the pads becomes narrower and narrower while the hand turns back to
-    the pose of a grasp candidate.
+    """Return whether the width of an object between the pads decreases steadily while the hand turns from a
+    rotated pose back to the pose of a grasp candidate.
 
     Args:
         pose: (4, 4) [m] T_object_tcp of the turned hand, at the center between the pads.

@@ -77,7 +77,8 @@ class Grasp:
 
 
 def openings(grasp: Grasp, gripper: Gripper) -> Iterator[Grasp]:
-    """Yield a grasp with its opening, then with the opening that allows for no error of the object's pose.
+    """Yield a grasp, and then the same grasp with a smaller opening of the fingers, which leaves no margin
+    for errors in the object's pose.
 
     The smaller opening is for fingers beside an obstacle.
     """
@@ -122,15 +123,15 @@ def why_none(rejected: list[Rejection], covered: float) -> str:
 
 
 def rejection_sort_key(rejection: Rejection) -> tuple[int, float]:
-    """Return the sort key of a rejected grasp. Grasps that passed more checks come first; at equal numbers of
-    checks, the grasp that missed the next limit by less comes first.
+    """Return the sort key of a rejected grasp. Grasps that passed more checks come first. Among equals, the
+    grasp that missed the limit of the failed check by less comes first.
     """
     return -rejection.passed, rejection.excess
 
 
 def holding_factor(friction: float, torsional_friction: float, lever: F64, patch: F64) -> F64:
-    """Return the factor by which the force of a grasp must grow because the weight does not act on the line
-    through the contacts.
+    """Return the factor by which the grip force of a grasp must grow because the object's weight acts beside
+    the line through the contacts.
 
     A soft finger pressed with F holds a force f along the surface and a torque t about its normal while
     (f / (mu F))^2 + (t / (g F))^2 <= 1 (Howe and Cutkosky 1996), with g = mu r + the torsional coefficient

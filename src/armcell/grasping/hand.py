@@ -133,8 +133,8 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
 
 
 def _outline(piece: Shape) -> tuple[Array, NDArray[np.int32]]:
-    """Return the corners (n, 3) and edges (k, 2) of one shape of a hand: those of a convex mesh, or of
-    another shape's bounding box.
+    """Return the corners (n, 3) and edges (k, 2) of one shape of a hand. A shape that is not a convex mesh is
+    replaced by its bounding box.
     """
     if isinstance(piece, Mesh):
         faces = np.asarray(piece.faces)
@@ -169,8 +169,8 @@ def _slabs(piece: Shape, T_tcp_piece: SE3) -> list[Array]:
 
 
 def _pad(left: Array, right: Array) -> Array:
-    """Return the x range and z range of a hand's finger pads: the overlap of the left and right fingers'
-    boxes that meet when the hand closes.
+    """Return the x range and the z range of a hand's finger pads. A pad is the overlap of two boxes, one per
+    finger, that meet when the hand closes.
     """
     inner = (
         left[left[:, 1] < left[:, 1].min() + AT_THE_PAD],

@@ -50,8 +50,8 @@ class Placement:
 
 
 def surface_for(item: CollisionObject, support: CollisionObject) -> tuple[SE3, float, float]:
-    """Return the surface of a support for placements of an object, on which friction holds the object with a
-    safety margin.
+    """Return the surface of a support on which to place an object. The surface is level enough for friction
+    to hold the object, with a safety margin.
 
     The result is that of `support_surface`.
 
@@ -184,8 +184,8 @@ def _corners(item: CollisionObject) -> Array:
 
 
 def _highest(support: CollisionObject, normal: Array) -> float:
-    """Return the highest coordinate [m] of a support along a world direction (3,).
-    Objects are placed above this height.
+    """For placements on a support, return the highest coordinate [m] of the support along a world direction
+    (3,).
     """
     up = support.T_world_object.rotation.matrix.T @ normal
     tops = [extent(s, T.rotation.matrix.T @ up)[1] + float(T.translation @ up) for s, T in support.shapes]
@@ -216,8 +216,8 @@ def _turns(item: CollisionObject, side: StablePose, frame: SE3) -> list[tuple[fl
 
 
 def _slope(frame: SE3) -> Array:
-    """Return the offset (2,), per meter of height, from a point's projection along the normal of a tilted
-    support surface to its vertical projection. Placements on tilted surfaces use it.
+    """Return the slope (2,) of a tilted surface for placements, in its x and y axes: how far a point's
+    vertical projection onto the surface is from its projection along the normal, per meter of height.
 
     The vertical through a point at height h above the surface meets the surface at h * slope from the
     point's projection along the normal, in the x and y axes of the surface.
@@ -325,8 +325,8 @@ def _stands_on(foot: Array, mass: Array, half: Array, whole: float) -> bool:
 
 
 def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
-    """Clip the base polygon (n, 2) of a placed object at one edge of the support surface: keep the part where
-    `sign` times the coordinate on `axis` is at most `limit` [m].
+    """Clip the base polygon (n, 2) of a placed object at one edge of the support surface. The part whose
+    coordinate on `axis`, multiplied by `sign`, is at most `limit` [m] remains.
 
     Sutherland and Hodgman's algorithm.
     """

@@ -31,7 +31,7 @@ def _at(field, x0, y0, resolution, x, y):
 
 @njit(cache=True)
 def _nudge(points, normals, middle, at, force, along, depth, radius):
-    """Move a piece, in place, by the motion that a force at a point causes, so far that the point advances by
+    """Move a piece, in place, as a force at a contact point pushes it, until this point has advanced by
     `depth` [m] along a direction. Return False if the force does not move the point in this direction.
 
     An ellipsoid approximates the limit surface of the friction with the floor (Howe and Cutkosky 1996): the
@@ -72,8 +72,8 @@ def _within_cone(direction, normal, slope):
 
 @njit(cache=True)
 def _from_hand(points, normals, middle, hand, along, fingers, friction, radius):
-    """Move a piece, in place, out of the front of the hand. Return the depth [m] before, negative if it
-    cannot move.
+    """Move a pushed piece out of the front of the hand, in place. Return the depth [m] to which the hand
+    overlapped the piece, as a negative number if the piece cannot move.
     """
     depth = 0.0
     for k in range(len(points)):
@@ -102,7 +102,9 @@ def _seen_from(point, hand, along):
 
 @njit(cache=True)
 def _from_obstacle(points, normals, middle, room, x0, y0, resolution, radius):
-    """Move a piece, in place, out of the obstacle that it is deepest in. Return whether there was one."""
+    """Move a piece, in place, out of the obstacle that it penetrates most deeply, in the compiled kernel for
+    pushes. Return whether the piece was in an obstacle.
+    """
     deepest, worst = -1, TOUCHES
     for k in range(len(points)):
         inside = resolution - _at(room, x0, y0, resolution, points[k, 0], points[k, 1])

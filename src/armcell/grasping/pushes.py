@@ -29,7 +29,9 @@ TOWARD = -0.2  # smallest cosine of a push with the direction away from the wall
 @dataclass(frozen=True)
 @checked()
 class PushSettings:
-    """Settings for pushing pieces of a heap away from walls; lengths in meters."""
+    """Settings for finding the pushes with which closed fingers move pieces of a heap away from walls;
+    lengths in meters.
+    """
 
     directions: int = 16  # over the whole circle
     spacing: float = 0.006  # between parallel pushes
@@ -157,7 +159,9 @@ def _outline(seen: HeightMap, piece: NDArray[np.bool_]) -> tuple[Array, Array, A
 
 
 def _away(seen: HeightMap, room: Array, outline: Array) -> Array:
-    """Return the mean direction (2,) away from the obstacles that an outline touches; zero for none."""
+    """Return the mean direction (2,) that leads away from the obstacles at a piece's outline, to choose a
+    push. If the outline touches no obstacle, return zeros.
+    """
     i, j = np.round((outline - seen.origin) / seen.resolution).astype(int).T
     near = room[i, j] < TOUCHING * seen.resolution
     if not near.any():
@@ -167,7 +171,9 @@ def _away(seen: HeightMap, room: Array, outline: Array) -> Array:
 
 
 def _starts(outline: Array, wide: tuple[float, float], s: PushSettings) -> tuple[Array, Array]:
-    """Return the starts (m, 2) [m] of pushes against an outline, and their directions (m, 2)."""
+    """Return start points (m, 2) [m] for pushes against the outline of a piece, and the directions (m, 2) of
+    these pushes.
+    """
     starts, alongs = [], []
     for angle in 2 * np.pi * np.arange(s.directions) / s.directions:
         along = np.array([np.cos(angle), np.sin(angle)])
@@ -183,8 +189,8 @@ def _starts(outline: Array, wide: tuple[float, float], s: PushSettings) -> tuple
 
 
 def _facing(along: Array, at: Array) -> SE3:
-    """Return the pose T_world_tcp of a hand that points down and faces a direction with a side of its
-    fingers: a push across the closing direction does not open them.
+    """Return the pose T_world_tcp of a hand that points down for a push. A side of its fingers faces the
+    direction of the push, so that the push does not open them.
     """
     x, approach = np.array([along[0], along[1], 0.0]), np.array([0.0, 0.0, -1.0])
     return SE3(SO3(np.column_stack([x, np.cross(approach, x), approach])), at)

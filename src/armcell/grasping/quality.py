@@ -74,8 +74,8 @@ class Noise:
 def contact_wrenches(
     contacts: tuple[PadContact, ...], about: Array, size: float, material: Material, edges: int = EDGES
 ) -> Array:
-    """Return the wrenches (n, 6) per newton that the friction cones of a grasp can produce, to evaluate its
-    quality.
+    """Return the wrenches (n, 6) that the friction cones of a grasp can produce per newton of contact force,
+    to evaluate the quality of the grasp.
 
     The contacts are soft fingers.
 

@@ -58,7 +58,8 @@ def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8)
 
 
 def _rolled(item: CollisionObject, now: Array, nearest: StablePose) -> StablePose | None:
-    """Return the stable resting pose of a body that rolls: a sphere, or a lying cylinder or capsule.
+    """Return the `StablePose` of an object that rolls: a sphere, or a cylinder or capsule that lies on its
+    side.
 
     The body keeps its present orientation. The result is None for other objects.
     """

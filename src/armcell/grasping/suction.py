@@ -120,8 +120,8 @@ def _heights(T: Array, surface: Surface, hand: Hand, gripper: SuctionGripper) ->
 
 @njit(cache=True)
 def first_hits(origins, directions, radii, triangles, middles, reaches):
-    """Return the distances (k, c, r) [m] along a suction cup's rays from their start points to the first
-    triangle, inf if none.
+    """Return the distance [m] along each ray of the suction cups to the first triangle that it hits, as an
+    array (k, c, r) for k directions, c cups and r rays per cup. The distance is inf if a ray hits none.
 
     Args:
         origins: (k, c, r, 3) start points of the rays of c cups; the last one is at the cup's center.

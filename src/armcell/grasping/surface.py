@@ -232,7 +232,8 @@ def _arc(radius: float, z: float, start: float, end: float, steps: int) -> list[
 
 
 def _revolved(profile: list[tuple[float, float]]) -> Array:
-    """Return the triangles of a surface of revolution about z, which is given by its profile (radius, z).
+    """Return the triangles of a round object's surface for grasp planning: a surface of revolution about z,
+    given by its profile (radius, z).
 
     The profile runs from bottom to top.
     """

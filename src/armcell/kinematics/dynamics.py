@@ -198,8 +198,8 @@ class InverseDynamics:
         ))  # fmt: skip
 
     def _add(self, link: int, inertial: Inertial) -> None:
-        """Add a body to a link for inverse dynamics: sum up the masses, and the inertias about the common
-        center of mass.
+        """Add the mass and inertia of a body to a link, for inverse dynamics. The sum of the inertias refers
+        to the common center of mass.
         """
         R = inertial.T_link_com.rotation.matrix
         m0, m1, c0, c1 = self.mass[link], inertial.mass, self.center[link], inertial.T_link_com.translation

@@ -155,8 +155,8 @@ def _ros_package_path() -> list[Path]:
 
 
 def _workspaces(base: Path) -> Iterator[Path]:
-    """Yield workspace folders in which to search for a robot's assets: its ROS package and the other packages
-    that this package depends on.
+    """Yield the workspace folders around a robot's ROS package. The search for the robot's assets looks there
+    for the other packages on which this package depends.
 
     They are the folders above the package, up to the folder `src` of a colcon or catkin workspace.
     """
@@ -173,8 +173,8 @@ def _workspaces(base: Path) -> Iterator[Path]:
 
 
 def _packages_below(folder: Path, depth: int) -> dict[str, list[Path]]:
-    """Return the ROS packages below a folder, to search for robot assets, by the names in their package.xml,
-    as rospack finds them.
+    """Find the ROS packages below a folder, like rospack, to search them for robot assets. Return the
+    packages' folders by the names in their package.xml.
     """
     try:
         return _crawled(folder, depth, folder.stat().st_mtime_ns)

@@ -210,7 +210,9 @@ def finger_parts(model: RobotModel) -> dict[str, str]:
 
 
 def _join_pairs(pairs: dict[frozenset[str], str], finger: str, part: str, others: Iterable[str]) -> None:
-    """Join the unchecked collision pairs of a finger's link and of the part that is composed with it."""
+    """Combine the disabled collision pairs of a finger's link with those of a part that becomes one solid
+    link with the finger.
+    """
     for other in others:
         reasons = [pairs.get(frozenset((link, other))) for link in (finger, part)]
         normal = next((reason for reason in reasons if reason not in (None, "Never")), None)

@@ -168,8 +168,7 @@ class SuctionCup:
         return SE3.from_xyz_rpy(self.xyz, self.rpy)
 
     def lip_reaches(self, shape: Shape, T_link_shape: SE3) -> bool:
-        """Return whether a collision shape of the link that carries a gripper's suction cup includes the
-        flexible lip of the cup.
+        """Return whether a collision shape of a suction cup's link includes the flexible lip of the cup.
 
         Descriptions of cups usually end at the free lip, in front of the ring. In physics, the ring replaces
         such a shape.

@@ -422,7 +422,7 @@ class RobotModel:
 
     def coupling(self, joint: str) -> tuple[str, float, float]:
         """Return the driven joint that moves a joint of the robot model, directly or through mimic joints,
-        and the multiplier and the offset: position = multiplier * position of the driven joint + offset.
+        with the multiplier and the offset: position = multiplier * driven position + offset.
 
         Raises:
             UnknownNameError: the robot model has no such joint.

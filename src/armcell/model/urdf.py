@@ -105,7 +105,9 @@ class _Reader:
         return InputError(reason, file=file, line=line, element=label, hint=hint)
 
     def place(self, element: etree._Element) -> tuple[Path, int | None]:
-        """Return the file and line of a URDF element, in the xacro file that it comes from."""
+        """Return the file and line of an element of the URDF. If the URDF was expanded from xacro, return its
+        place in the xacro source.
+        """
         return self.places.get(element, (self.file, element.sourceline))
 
     def report(self, element: etree._Element, text: str, *values: object) -> None:

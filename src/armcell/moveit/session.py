@@ -162,8 +162,8 @@ class Session:
         return any(text in line for line in self.lines[-RECENT:])
 
     def hint(self, key: str, text: str) -> None:
-        """Log a hint for the author of the running ROS script.
-        Hints with the same key are logged only once.
+        """Let the session of a ROS script log a hint for the author of the script. Hints with the same key
+        are logged only once.
         """
         if key not in self._hints:
             self._hints.add(key)
@@ -174,8 +174,8 @@ class Session:
         return self._hints
 
     def hint_at_gripper(self) -> None:
-        """Log a hint if a log line of a ROS script says that the gripper closes,
-        but the script has never commanded the gripper.
+        """Let the session of a ROS script log a hint if the script's log says that the gripper closes,
+        although the script has never commanded the gripper.
         """
         if self.claims_to_close and not self.served.has_closed_gripper:
             self.hint(

@@ -24,9 +24,7 @@ _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 @dataclass(eq=False)
 class CameraRecord:
-    """Newest camera images, point clouds and transforms from an MCAP file (bag).
-    Each is stored by the name of its frame.
-    """
+    """Newest camera images, point clouds and transforms in an MCAP file (bag), by the name of the frame."""
 
     file: Path
     infos: dict[str, Pinhole] = field(default_factory=dict)

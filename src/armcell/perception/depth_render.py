@@ -184,7 +184,9 @@ def loss(vertices, faces, R, t, e, drawn, errors):
 
 @njit(cache=True)
 def losses(vertices, faces, Rs, ts, e):
-    """Render the depth of a mesh at poses Rs (k, 3, 3), ts (k, 3), and return the total losses (k,)."""
+    """Return the total losses (k,) between the depth evidence and the rendered depth of a mesh at poses Rs
+    (k, 3, 3), ts (k, 3).
+    """
     drawn, errors = np.empty(len(e.depth)), np.empty(len(e.depth))
     out = np.empty(len(Rs))
     for k in range(len(Rs)):
@@ -194,8 +196,8 @@ def losses(vertices, faces, Rs, ts, e):
 
 @njit(cache=True)
 def _moved(R, t, center, step, out_R, out_t):
-    """Write the pose (R, t) of a rendered mesh after a step: rotated by step[:3] about the mesh's center and
-    shifted by step[3:].
+    """Apply a step to the pose (R, t) of a rendered mesh: rotate the mesh about its center by step[:3], and
+    shift it by step[3:]. Write the new pose to `out_R` and `out_t`.
     """
     x, y, z = step[0], step[1], step[2]
     angle = np.sqrt(x * x + y * y + z * z)

@@ -191,8 +191,8 @@ def match_mesh(e: DepthEvidence, shapes: tuple[tuple[Shape, SE3], ...], start: M
 
 
 def _surely_worse(errors: F64, than: F64) -> bool:
-    """Return whether one pose of a known object explains the images significantly worse than another, given
-    the errors of all pixels for both poses.
+    """Return whether one pose of a known object explains the images significantly worse than another. The
+    pixel errors of the two poses are `errors` and `than`.
 
     Each pixel is one observation of the difference of both losses.
     """
@@ -239,8 +239,8 @@ def _angle(a: SO3, b: SO3) -> float:
 
 
 def _spun(here: SO3, wanted: SO3) -> SO3:
-    """Return the rotation nearest to `wanted` whose z axis is parallel or antiparallel to the z axis of
-    `here`, for a known cylindrical object.
+    """Return the rotation nearest to `wanted` in which a known cylindrical object has the same axis as in
+    `here`: the z axes are parallel or antiparallel.
     """
     axis = here.matrix[:, 2]
     if axis @ wanted.matrix[:, 2] < 0:

@@ -255,8 +255,8 @@ def _pixel(e: DepthEvidence) -> float:
 
 
 def _starts(e: DepthEvidence, mesh: KnownMesh) -> tuple[F64, F64]:
-    """Return start poses Rs (k, 3, 3), ts (k, 3) of a mesh: each resting side at each yaw, with the middle of
-    the object's outline in the first image at the middle of the cluster.
+    """Return start poses Rs (k, 3, 3), ts (k, 3) for the fit of a mesh: each resting side at each yaw. In the
+    first image, the center of the mesh's outline coincides with the center of the point cluster.
     """
     Rs = []
     for up in mesh.ups:

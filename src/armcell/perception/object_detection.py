@@ -250,7 +250,7 @@ class _ObjectCluster:
 def _beside(
     pixels: NDArray[np.int64], points: F64, eye: F64, ring: int, margin: float, size: tuple[int, int]
 ) -> tuple[F64, F64, float]:
-    """Return, for the detection of an object, the camera rays (m, 3) that pass beside its point cluster, the
+    """Return the camera rays (m, 3) that pass beside the point cluster of an object that `look` detects, the
     length (m,) [m] over which each ray is free, and the occluded fraction of the cluster's outline.
 
     The outline is occluded where a nearer object or the image border cuts it off.

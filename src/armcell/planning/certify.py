@@ -156,7 +156,8 @@ def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseD
 
 
 def clearance_along(checker: KernelChecker, trajectory: JointTrajectory) -> float:
-    """Compute the distance [m], up to 0.25, that a certified motion is proven to keep from obstacles.
+    """Compute the distance [m] that a certified motion is proven to keep from obstacles. The result is at
+    most 0.25 m.
 
     See `KernelChecker.clearance`. A pair in resting contact at the start counts from the point where it no
     longer moves apart.

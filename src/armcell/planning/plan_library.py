@@ -335,8 +335,11 @@ def _reaches(scene: PlanningScene, request: PlanRequest, names: tuple[str, ...],
 
 
 def _is_free(checker: KernelChecker, waypoints: Array) -> bool:
-    """Return whether a motion of the plan library is as free as a planned one: proven collision-free, and
-    with padding at samples. With a proof of the padding, some planned motions would be repaired in every use.
+    """Return whether a motion of the plan library is as safe as a newly planned one: proven collision-free
+    without padding, and collision-free with padding at samples.
+
+    A proof that includes the padding would fail for some planned motions, which would then be repaired at
+    every use.
     """
     return checker.certify(waypoints, evidence=False).free and all(
         checker.edge_is_free(a, b) for a, b in pairwise(waypoints)

@@ -158,7 +158,8 @@ def _kept(validated: ValidatedRequest) -> Callable[[Array], bool]:
 
 
 def start_from_departure(validated: ValidatedRequest, found: Departure, begins_at: str) -> ValidatedRequest:
-    """Return a copy of a request that starts at the end of a departure motion.
+    """Let a request start at the end of its departure motion, where the robot has left the contact. Return a
+    copy of the request.
 
     The departure motion leads from the original start, which is in contact, to a collision-free state.
 
@@ -256,8 +257,8 @@ def _push(
 
 
 def _rates(exact: ExactChecker, q: Array, bodies: Sequence[Pair]) -> Array:
-    """Compute how the distance between two bodies, such as bodies in contact at the start, changes with each
-    joint at q (n,), for each given pair of bodies.
+    """Compute how the distance of each given pair of bodies, such as bodies in contact at the start, changes
+    with each joint at q (n,).
 
     The result is an array (pairs, n) [m/rad or m/m]. Two flat faces in contact come nearer for either
     direction of rotation; the central difference cancels this effect and leaves the motion along the pair's

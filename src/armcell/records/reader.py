@@ -59,7 +59,7 @@ class RecordedState:
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
-        """Convert a state that was read from a record to the `StateSample` that observers receive."""
+        """Convert a recorded state to a `StateSample`, the form in which observers receive states."""
         t, g = self.time, self.grippers
         return StateSample(
             t,
@@ -158,8 +158,8 @@ class _Reading:
         self._poses: dict[str, Array] = {}
 
     def read(self) -> str:
-        """Read and parse the record's file. Return an empty string if the file is complete; otherwise return
-        a text that states where it is cut off or damaged.
+        """Read and parse the file of a record. Return a text that states where the file is cut off or
+        damaged; the text is empty if the file is complete.
         """
         from mcap.exceptions import InvalidMagic, McapError
         from mcap.stream_reader import StreamReader

@@ -32,7 +32,9 @@ MOST_SAMPLES = 60_000
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Image `rgb` (h, w, 3) uint8 of a key moment of a run, kept by the run recorder."""
+    """Picture of a key moment of a run, kept by the run recorder: an RGB image (h, w, 3) uint8 with its time
+    and title.
+    """
 
     time: float  # [s]
     title: str
@@ -290,8 +292,8 @@ def _series(joint_names: tuple[str, ...], samples: list[StateSample]) -> Series:
 
 
 def _in_order(joint_names: tuple[str, ...], state: JointState, kind: str) -> Array | None:
-    """Return the values of one kind from a state of the run recorder, in a given joint order. Missing joints
-    get NaN.
+    """Return one kind of values, such as positions, from a joint state that the run recorder has sampled. The
+    values are in the given joint order; missing joints get NaN.
     """
     values = getattr(state, kind)
     if values is None or state.joint_names == joint_names:

@@ -100,8 +100,8 @@ def _footer(recorder: RunRecorder) -> str:
 
 # --- tables ---
 def _rows(result: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    """Return the entries under a key of a run's result as a list of mappings, for the report. An entry that
-    is not a mapping becomes {"what": entry}.
+    """Read the entries under a key of a run's result for the report. All entries are returned as mappings;
+    any other entry becomes {"what": entry}.
     """
     value = result.get(key) or []
     if not isinstance(value, list | tuple):

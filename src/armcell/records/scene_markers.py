@@ -99,7 +99,8 @@ _LISTS = ("metadata", "arrows", "cubes", "spheres", "cylinders", "lines", "trian
 
 
 class SceneMarkers:
-    """Markers of a run: chooses the SceneUpdate messages that the MCAP file needs at each time.
+    """Markers that show the scene of a run in its MCAP file. This class creates the SceneUpdate messages that
+    are due at each time.
 
     Args:
         types: message classes by name, with `MARKER_TYPES`.
@@ -118,7 +119,7 @@ class SceneMarkers:
         self._touching = False
 
     def links(self, stamp: Any) -> Any:
-        """Return the message with the markers of all links, each in the frame of its link."""
+        """Return the message with scene markers that draw all links of the robot, each in its own frame."""
         named = ((link.name, link.name, _link_shapes(link)) for link in self._model.links.values())
         return self._update(stamp, named)
 
@@ -238,7 +239,9 @@ def _drawn(mesh: Mesh) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
 
 
 def _link_shapes(link: Link) -> list[Drawn]:
-    """Return what a marker draws for a link: its visuals, or without visuals its collision shapes."""
+    """Return the shapes with which a marker draws a link: its visual shapes or, without these, its collision
+    shapes.
+    """
     if not link.visuals:
         return [(c.shape, c.T_link_shape, DEFAULT_COLOR) for c in link.collisions]
     shapes: list[Drawn] = []

@@ -419,7 +419,9 @@ class ActionClient:
             return list(self._goals.values())
 
     def cancel_all(self) -> None:
-        """Cancel all goals of the action server, including the goals of other clients."""
+        """Cancel all goals of the ROS action to which this client is connected, including the goals of other
+        clients.
+        """
         self._cancel.publish(self.bus.schema.new("actionlib_msgs/GoalID"))
 
     def _receive(self, message: Any) -> None:

@@ -60,8 +60,8 @@ class Interfaces(NamedTuple):
 
 
 def plain_name(name: str) -> str:
-    """Return the name under which a ROS type is defined: `pkg/Name` for `pkg/msg/Name`, `pkg/srv/Name` and
-    `pkg/action/Name`.
+    """Return the name under which the definition of a ROS type is stored: `pkg/Name` for `pkg/msg/Name`,
+    `pkg/srv/Name` and `pkg/action/Name`.
     """
     parts = name.split("/")
     return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in ("msg", "srv", "action") else name

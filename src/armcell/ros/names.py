@@ -80,7 +80,7 @@ class NameMap:
 
     @property
     def remappings(self) -> list[str]:
-        """Return the remappings of the ROS names that the program uses."""
+        """Return the names that a program uses for those topics and services whose ROS names are remapped."""
         return [self.to_bus(self._there[name]) for name in self._there]
 
     def to_graph(self, name: str) -> str:
@@ -130,8 +130,8 @@ def name_map(node: str, namespace: str = "", remap: Iterable[str] = ()) -> NameM
 
 
 def _own(name: str, namespace: str) -> str:
-    """Make a remapped ROS name relative to the namespace.
-    Global names and names that already contain the namespace stay unchanged.
+    """Remove the leading slash of a remapped ROS name, so that it is relative to the namespace. Global names
+    and names inside the namespace stay unchanged.
     """
     inside = f"/{namespace.strip('/')}/"
     if name in GLOBAL or name.startswith(inside):

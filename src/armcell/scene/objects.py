@@ -406,8 +406,8 @@ class MovingObject:
         return float(b - a)
 
     def swept(self, t0: float, t1: float, step: float = 0.02, most: int = 200) -> CollisionObject:
-        """Return one fixed object that consists of copies of a moving collision object along its path between
-        the times t0 and t1.
+        """Return one fixed collision object that consists of copies of a moving object, placed along its path
+        between the times t0 and t1.
 
         The result does not cover the space between the copies, so a motion planned around it must still be
         checked against the moving object at its times.

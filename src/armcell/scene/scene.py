@@ -401,8 +401,8 @@ class PlanningScene:
 
 
 def extent(scene: PlanningScene) -> tuple[NDArray[np.float64], float]:
-    """Return the extent of a scene for a viewer's initial view,
-    as center (3,) [m, world frame] and radius [m].
+    """Return the extent of a planning scene for the initial view of a viewer: center (3,) [m, world frame]
+    and radius [m].
 
     The view covers the origins of all links and of all objects that extend less than 2 m from their origin;
     larger objects count as surroundings.

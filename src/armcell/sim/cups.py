@@ -51,7 +51,9 @@ def add_cups(spec: mujoco.MjSpec, bodies: dict[str, Any], model: RobotModel, gri
 
 
 def _soften(body: Any, model: RobotModel, cup: SuctionCup) -> None:
-    """Disable the contacts of the geoms that include the lip of a cup; an MJCF body loses all contacts."""
+    """Disable the contacts of each geom that includes the lip of a suction cup. If the body comes from an
+    MJCF file, disable the contacts of all its geoms.
+    """
     solids = model.links[cup.link].collisions
     soft = [i for i, c in enumerate(solids) if cup.lip_reaches(c.shape, c.T_link_shape)]
     names = tuple(f"{cup.link}:{i}" for i in soft)

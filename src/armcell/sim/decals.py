@@ -42,8 +42,8 @@ class Decal:
             raise InputError(f"decal {self.name!r} needs a square picture of grey")
 
     def brightness(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return the brightness (m,), from 0 to 1, of a decal's image at points given by x and y [m, decal
-        frame]; points (m, k) with k >= 2.
+        """Return the brightness (m,), from 0 to 1, of a decal's image at points (m, k) [m, decal frame]. The
+        first two columns of the points are x and y.
         """
         n = len(self.picture)
         column = np.clip(np.floor((points[:, 0] / self.size + 0.5) * n), 0, n - 1).astype(int)

@@ -212,8 +212,8 @@ def _suction_state(built: BuiltModel, suction: Suction, name: str) -> GripperSta
 
 
 def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
-    """Return the pose T_a_b between two MuJoCo bodies, such as a gripper and its held object, after the last
-    physics step.
+    """Return the pose T_a_b between two MuJoCo bodies after the last physics step, for example between a
+    simulated gripper and the object that it holds.
 
     Both poses come from the same instant.
     """

@@ -257,8 +257,8 @@ def write_free(data: mujoco.MjData, start: int, T_world_object: SE3) -> None:
 
 
 class FixedBodyPoses:
-    """Poses of the fixed bodies, such as fixed objects, in a compiled MuJoCo model. They can be changed until
-    the next reset.
+    """Poses of the fixed bodies, such as fixed objects, in a compiled MuJoCo model. A body can be moved; the
+    next reset restores the original poses.
     """
 
     def __init__(self, model: mujoco.MjModel):

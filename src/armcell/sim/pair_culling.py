@@ -100,8 +100,8 @@ class PairCulling:
 
 
 def _free_bits(model: mujoco.MjModel, plain: list[int]) -> list[int]:
-    """Return the bits of MuJoCo's contact masks that pair culling may use. No geom uses these bits, except on
-    the bodies in `plain`; the lowest bit is excluded.
+    """Return the bits of MuJoCo's contact masks that pair culling may use: bits that no geom uses, except
+    geoms of the bodies in `plain`. The lowest bit is excluded.
 
     Geoms of MJCF files may use any bits.
     """
@@ -111,8 +111,8 @@ def _free_bits(model: mujoco.MjModel, plain: list[int]) -> list[int]:
 
 
 def _touch_all(model: mujoco.MjModel, others: NDArray[np.bool_], bits: int) -> None:
-    """Let geoms without a bit for pair culling touch the bodies that have one, if they touched geoms with the
-    default masks before.
+    """Let each geom that has no bit for pair culling still touch the bodies that have one, if its default
+    contact mask allowed this.
     """
     accepting = others & (model.geom_conaffinity & 1 > 0)
     model.geom_conaffinity[accepting] |= bits

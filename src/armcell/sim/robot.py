@@ -31,8 +31,8 @@ FINGER_INERTIA = 2.0  # [kg] largest armature of a hand's joint, as mass at the 
 
 
 def mjcf_links(model: RobotModel) -> dict[str, MjcfPart]:
-    """Return the MJCF part from which each link of a simulated robot is built, by link name. Links without an
-    MJCF file have no entry.
+    """Return, for each link of a simulated robot that comes from an MJCF file, the MJCF part from which the
+    link is built.
     """
     return {link: part for part in model.mjcf for link in part.links if link in model.links}
 
@@ -154,8 +154,8 @@ def _is_limited(model: RobotModel, joint: Joint) -> bool:
 def _add_joint(
     body: Any, model: RobotModel, joint: Joint, settings: PhysicsSettings, scale: float = 1.0
 ) -> None:
-    """Add a joint to a body of a simulated robot. `scale` [m/rad] adapts armature and damping to a rotating
-    finger; it is 1 for other joints.
+    """Add a joint to a body in the MuJoCo spec of a simulated robot. `scale` [m/rad] adapts armature and
+    damping to a rotating finger; it is 1 for other joints.
     """
     types = mujoco.mjtJoint
     limited = _is_limited(model, joint)
@@ -311,8 +311,8 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
 
 
 def _turn_pad_boxes(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper) -> None:
-    """Rename the axes of the boxes on the fingers of a simulated robot so that x is the closing direction.
-    The boxes themselves do not change.
+    """Permute the axes of the boxes on the fingers of a simulated robot such that x is the closing direction.
+    The boxes occupy the same space as before.
 
     Where the side of a cylinder touches the edge of a box, MuJoCo 4.0 computes two contacts with the normal
     of the first face along the edge, even if the cylinder presses on the other face (fixed in MuJoCo's commit
@@ -359,7 +359,8 @@ def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
 
 
 def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
-    """Return the largest force [N] of the actuator with which a simulated robot moves its gripper.
+    """Return the force limit [N] of the actuator that a simulated robot gets for its gripper when the MuJoCo
+    model is built.
 
     An actuator force f presses each finger with f / |width_per_joint|.
     """

@@ -78,8 +78,8 @@ def drive_fingers(law, joints, weights, qpos, ctrl):
 
 @njit(cache=True)
 def _before(qpos, apart):
-    """Mark the body pairs whose distance must be measured again, in the compiled step kernel before a physics
-    step.
+    """Mark, before a physics step, the body pairs whose distances must be measured again after the step. This
+    function is part of the compiled step kernel.
 
     The bodies of such a pair may have moved by the pair's limit since the last measurement. MuJoCo tests the
     pair for contact in this step. Return whether there are such pairs.
@@ -120,8 +120,8 @@ def _before(qpos, apart):
 
 @njit(cache=True)
 def _after(model, data, places, apart):
-    """Measure the distances of the body pairs that `_before` has marked, in the compiled step kernel after a
-    physics step.
+    """Measure, after a physics step, the distances of the body pairs that `_before` has marked before the
+    step. This function is part of the compiled step kernel.
 
     If the bodies of a pair are far enough apart, MuJoCo skips the pair again in the next steps. If not, it
     continues to test the pair.
@@ -159,8 +159,8 @@ def _after(model, data, places, apart):
 
 @njit(cache=True)
 def _apart(fixed, k):
-    """Return the arrays of the body pairs that are far apart (`PairCulling.arrays`) in the compiled step
-    kernel.
+    """Return the arrays of the body pairs that are far apart (`PairCulling.arrays`), for use in the compiled
+    step kernel.
 
     Row k of the address table `fixed` describes the first of these arrays.
     """
@@ -246,8 +246,8 @@ def take_steps(
     cache=True,
 )  # fmt: skip
 def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
-    """Add up the contact forces on each finger along an axis, separately for each link or object, in the
-    compiled step kernel.
+    """Add up the contact forces on each finger along an axis, in the compiled step kernel. The sums are
+    separate for each link or object that touches the finger.
 
     Contacts between two fingers do not count.
 

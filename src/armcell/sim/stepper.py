@@ -56,8 +56,8 @@ class Stepper:
         self.compiled = None if python else compiled_steps(built, data, *parts)
 
     def reset(self, built: BuiltModel) -> None:
-        """Forget the stepper's records of the simulated world. `built` differs from the last model at most in
-        the initial state.
+        """Discard the stepper's records of the simulated world. The model `built` may differ from the
+        previous model only in the initial state.
         """
         self._built = built
         self.slip.reset()
@@ -77,7 +77,7 @@ class Stepper:
             self.compiled.forget()
 
     def take(self, n: int) -> None:
-        """Take n physics steps of the simulated world."""
+        """Let the stepper take n physics steps of the simulated world, in compiled code if possible."""
         if self.compiled is not None and self.compiled.possible:
             self.compiled.take(n, self.monitor)
             return
@@ -97,8 +97,8 @@ class Stepper:
     def follow(
         self, targets: Array, steps: int, tolerance: float, controls: Controls, columns: NDArray[np.int64]
     ) -> tuple[int, Array] | None:
-        """Track joint targets with the stepper in compiled code, as `CompiledStepper.follow` does.
-        Return None if this is not possible.
+        """Let the stepper pass joint targets to its compiled stepper, which tracks them. Return None if the
+        world cannot be stepped in compiled code.
         """
         if self.compiled is None or not self.compiled.possible or self.servo.computed:
             return None

@@ -171,8 +171,8 @@ class SimWorld:
 
     @property
     def mj_state(self) -> mujoco.MjData:
-        """Return MuJoCo's data without the update of `mj_data`: joint states and forces are current,
-        body poses may be one step old.
+        """Return MuJoCo's data (`MjData`) as the last step left them: joint states and forces are current,
+        but body poses may be one step old. Use `mj_data` for current body poses.
         """
         return self._data
 

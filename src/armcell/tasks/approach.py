@@ -109,8 +109,8 @@ class Approach(Motion):
 
 
 def shift_shown(scene: PlanningScene, item: str, gripper: Gripper, contact: HandContact) -> Array:
-    """Return the smallest displacement (3,) [m] of an object across the approach with which the object would
-    touch the finger at the point that a contact shows, in the world frame. It is zero if there is none.
+    """Return the smallest shift (3,) [m, world frame] of an object, across the approach, that explains a
+    contact: the shifted object touches the finger at the contact point. The result is zero if no shift does.
 
     With this displacement, the object does not touch the other finger.
 

@@ -227,7 +227,9 @@ def _choices(
 
 
 def _both_allow(one: PlanningScene | None, other: PlanningScene | None) -> PlanningScene | None:
-    """Return the scene for two merged motions, in which the contacts of both motions are allowed."""
+    """Return the scene for two motions that a merger runs at the same time. It allows the contacts that
+    either of the two motions allows.
+    """
     if one is None or other is None:
         return one or other
     return replace(one, allowed_pairs={**one.allowed_pairs, **other.allowed_pairs})

@@ -160,8 +160,8 @@ class TaskContext:
         )
 
     def whole_scene(self) -> PlanningScene:
-        """Return the scene of a task's context with all arms.
-        If arms work side by side, `scene` contains only one of them.
+        """Return the scene of a task's context with all arms. If arms work side by side, the attribute
+        `scene` contains only one arm.
         """
         return self._measured(self.base)
 

@@ -263,8 +263,8 @@ def _smooth(u: Array) -> Array:
 
 
 def _carried(times: Array, blend: float, end: float) -> Array:
-    """Return the displacement of the hand along a conveyor belt at given times, divided by the belt speed:
-    the time [s] in which the belt covers the same distance.
+    """Return how far the hand has moved along a conveyor belt at given times, expressed as the time [s] in
+    which the belt covers the same distance.
 
     The displacement is this result times the belt's velocity. The hand accelerates to the belt speed within
     `blend` [s] and decelerates in the last `blend` [s] before the time `end`.

@@ -124,7 +124,7 @@ class Pick(ABC):
         return False
 
     def open_hand(self) -> bool:
-        """Open the hand fully during a pick, and return whether it held the object."""
+        """Open the hand fully during a pick. Return whether the hand held the object until then."""
         return False
 
     def is_around_object(self) -> bool:

@@ -325,7 +325,7 @@ def _report(
     planning: SearchState, hands: _Hands, sides: dict[Vector, list[RestingPose]], onward: set[Vector],
     seen: set[int], goal: Vector,
 ) -> None:  # fmt: skip
-    """Report, for each side of the object, why no regrasp sequence was found.
+    """Report why no regrasp sequence was found, separately for each side on which the object can rest.
 
     Sides with a grasp to the goal come first.
     """

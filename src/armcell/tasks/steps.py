@@ -320,7 +320,7 @@ def not_held(ctx: TaskContext, text: str) -> Outcome:
 
 
 def lost(ctx: TaskContext, item: str, text: str) -> Outcome:
-    """Mark a held object as lost, and return the outcome of the task's step that lost it."""
+    """Record that a held object was lost during a step of a task, and return the outcome of this step."""
     ctx.lose(item, text)
     ctx.driver.unwatch_object(item)
     return not_held(ctx, text)

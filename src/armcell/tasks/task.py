@@ -45,7 +45,7 @@ class TaskError(InputError):
 
 
 class Container(Stage, Protocol):
-    """Interface of those stages of a task that contain other stages: they check that the inner stages fit
+    """Interface of a task's stages that contain other stages. They check whether their inner stages fit
     together.
     """
 
@@ -240,7 +240,7 @@ def plan_stages(
 
 
 class TaskFailed(ArmcellError):
-    """Exception that a script raises when the outcome of a task is a failure.
+    """Exception for a failed task. Scripts raise it if the outcome of a task is not a success.
 
     `outcome` has the code, the message and the evidence.
     """

@@ -60,8 +60,8 @@ def _distance(v0, v1, a, j):
 
 @njit(cache=True)
 def _fastest(v0, v1, a, j, length, most):
-    """Return the highest speed that a jerk-limited motion can reach on a line of the given length between the
-    speeds v0 at its start and v1 at its end. The result is at least max(v0, v1) and at most `most`.
+    """Return the highest speed that a jerk-limited motion can reach on a line of the given length, on which
+    it accelerates from v0 and slows down to v1. The result is at least max(v0, v1) and at most `most`.
 
     If v1 < 0, the line may end at the highest speed.
     """

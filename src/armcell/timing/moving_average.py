@@ -146,8 +146,8 @@ def _motion_at(times, pieces, motion):
 
 @njit(cache=True)
 def _difference(now, then, shift, factor):
-    """Compute a moving average in place from the integrals `now` and `then` at both ends of the window:
-    now[i] becomes (now[i] - then[i - shift]) * `factor`.
+    """Compute a moving average in place from the integrals `now` and `then` at the two ends of the window.
+    Each now[i] becomes (now[i] - then[i - shift]) * `factor`.
 
     `then` is zero before its first row and may be the same array as `now`.
     """

@@ -75,8 +75,8 @@ def _largest_x(center, half, slope, i, ds, reach, cap):
 
 @njit(cache=True)
 def _row(alpha, beta, constant, limit, i, r, center, half, slope, cap):
-    """Store the constraint |alpha u + beta x + constant| <= limit at interval i and row r of the tables for
-    TOPP (time-optimal path parameterization).
+    """Store one constraint for TOPP (time-optimal path parameterization) in the tables: |alpha u + beta x +
+    constant| <= limit at interval i and row r, with path acceleration u and squared path speed x.
 
     Return the upper bound that the constraint sets on x, at most `cap`.
     """

@@ -282,8 +282,8 @@ def fit_thresholds(
 
 
 def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
-    """Fit a linear model of the motor current to the samples of each joint by least squares. Current
-    residuals compare a real arm with this model's prediction from its simulated twin.
+    """Fit a linear model of the motor current to the samples of each joint by least squares. The residual of
+    the current is the difference between a real arm's current and this model's prediction.
 
     Args:
         current, effort, speed: samples (k, n) in [A], [Nm], [rad/s].
@@ -302,8 +302,8 @@ def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
 
 
 def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
-    """Return the largest magnitude (n,) that each joint's residual keeps for `LASTING` consecutive samples of
-    a motion. Thresholds for comparing an arm with its twin are derived from it.
+    """Return for each joint the largest residual (n,) that persists for `LASTING` consecutive samples of a
+    motion. Thresholds for comparing an arm with its twin are derived from it.
 
     A shorter peak does not count, because it would not slow the arm either.
     """

@@ -121,7 +121,8 @@ def _shaded(mesh: Any, color: Color) -> ColoredMesh:
 
 # --- viser nodes ---
 def node_name(*parts: str) -> str:
-    """Return the name of a node in viser's scene tree, built from the given name parts.
+    """Return the name of a scene node in the viewer (viser) under which geometry is drawn, built from the
+    given name parts.
 
     Slashes inside a part are percent-encoded, so that they do not add a level to the scene tree.
     """

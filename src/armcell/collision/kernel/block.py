@@ -165,8 +165,10 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
 
 @inner_njit
 def _apart_by_table(I, F, w, pair, slack, mode):
-    """Return a bit mask of the SIMD lanes in which a gap table proves that two robot bodies are apart, in a
-    proof for the whole interval. Pairs without a table are apart in no lane.
+    """Check a pair of robot bodies by its gap table, for a block of configurations. Return a bit mask of the
+    SIMD lanes in which the bodies are apart. In a motion proof, they are apart during the whole interval.
+
+    Pairs without a gap table are apart in no lane.
     """
     t = I[GAP_TABLE] + 5 * pair
     if I[t] < 0:
@@ -343,7 +345,9 @@ def check_block(k, lanes, mode):
 
 @inner_njit(forceinline=True)
 def ints(k):
-    """Return a pointer to the kernel's integer array from the handle of a block check."""
+    """Return a pointer to the integer array of the kernel, given the handle of a check of a block of
+    configurations.
+    """
     return at_address(np.int32, k[AT_I])
 
 

@@ -60,8 +60,8 @@ def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
 
 
 def _blocks(rows: F64, empty: float) -> F64:
-    """Arrange the coordinates (3, n) of a tree's bounding boxes in SIMD blocks of L boxes, with shape (3, b,
-    L). Unused entries of the last block have the value `empty`.
+    """Arrange the coordinates (3, n) of a tree's bounding boxes in SIMD blocks of L boxes each, as an array
+    (3, b, L). The unused entries of the last block get the value `empty`.
     """
     blocks = np.full((3, max(-(-rows.shape[1] // L), 1) * L), empty)
     blocks[:, : rows.shape[1]] = rows

@@ -105,8 +105,8 @@ def _side(F, at, u, v, x, y, z):
 
 @inner_njit(forceinline=True)
 def _apart(F, kind, at, x, y, z):
-    """Return the distances from a point to 16 spheres, cubes or triangles of a cloud,
-    and the vectors from their nearest points.
+    """Return the distances from a point to 16 spheres, cubes or triangles of a cloud, and the vectors from
+    the nearest point of each to the given point.
 
     The parts are at F[at:]. All these distances are convex functions of the point. The length of a vector is
     the distance, except for balls, where the vector begins at the center.

@@ -100,7 +100,7 @@ def _cloud(
     high: F64,
     closed: bool = False,
 ) -> Cloud:
-    """Build the kernel's arrays of a cloud from n spheres, cubes or triangles.
+    """Return the arrays with which the kernel represents a cloud of n spheres, cubes or triangles.
 
     Args:
         parts: values of the parts, a row (n,) or a number for each of `ROWS`.

@@ -85,8 +85,8 @@ def small_triangles(vertices: F64, faces: NDArray[np.int64], edge: float) -> F64
 
 
 def outer_skin(vertices: F64, faces: NDArray[np.int64], edge: float) -> tuple[F64, F64]:
-    """Return the outer surface of a solid's mesh, which the kernel covers with spheres, as triangles with
-    edges of at most `edge` [m] (m, 3, 3), and as fewer triangles (k, 3, 3).
+    """Return the outer surface of a solid's mesh for its sphere cover, in two versions: as small triangles
+    (m, 3, 3) with edges of at most `edge` [m], and as fewer triangles (k, 3, 3).
 
     Parts of the surface that are inside the same mesh are left out and need no cover: robot meshes often
     consist of several closed solids that intersect.
@@ -211,8 +211,8 @@ def _gain(tree, left, ball, take, exact):
 
 @njit(cache=True)
 def _held_of_leaf(tree, first, count, ball, take):
-    """Count the elements of a leaf that a ball contains, among `count` elements from index `first` on. With
-    `take`, move these elements behind the others.
+    """Count the elements of a tree leaf that a ball contains. The leaf has `count` elements from index
+    `first` on. With `take`, the contained elements move to the end of the leaf.
     """
     x, y, z, reach2 = ball
     found, t = 0, first
@@ -232,8 +232,10 @@ def _held_of_leaf(tree, first, count, ball, take):
 
 @njit(cache=True)
 def _choose(tree, left, centers, reach2, held):
-    """Choose balls as described at `_greedy`. Update the counts `left` of `_gain`, and clear the flags `held`
-    (n,) of the elements that no ball contains.
+    """Choose the balls of a sphere cover greedily, in compiled code. Update the counts `left` (k,) of
+    uncovered elements, and clear the flags `held` (n,) of the elements that no ball contains.
+
+    See `_greedy` for the method and `_gain` for the counts.
     """
     best = [(0, 0)]  # a heap of -gain, ball
     best.pop()
@@ -262,8 +264,8 @@ def _choose(tree, left, centers, reach2, held):
 
 
 def _greedy(elements: F64, centers: F64, reach2: F64) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Choose balls for a sphere cover greedily. Each step chooses the ball with the most uncovered elements
-    of the shape, until no ball contains an uncovered element.
+    """Choose balls for a sphere cover greedily: each step adds the ball that contains the most uncovered
+    elements of the shape, until no ball contains any.
 
     A ball's gain only decreases, so old gains are upper bounds: only those of the best balls are counted
     again.

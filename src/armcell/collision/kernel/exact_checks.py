@@ -200,7 +200,7 @@ def _relative(s):
 
 @inner_njit(forceinline=True)
 def _solid(I, piece):
-    """Return a convex piece as a solid for GJK, to check it exactly in the kernel."""
+    """For an exact check, return a convex piece of the kernel's arrays as a solid for GJK."""
     points = I[PIECE_POINTS] + 2 * piece
     return gjk.ConvexSolid(
         I[I[PIECE_KIND] + piece],
@@ -240,8 +240,8 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
 
 @inner_njit
 def _directed_need(I, D, w, s, body, a, lane):
-    """Return the clearance along a given normal that a moving convex piece needs to pass an exact collision
-    test, in the configuration of one SIMD lane.
+    """Return the clearance [m] that a moving convex piece needs along a given normal to pass the exact
+    collision test of one SIMD lane (one configuration).
 
     The normal is in s[NORMAL:]. Along a fixed direction n, the nearest point of piece a approaches by |n .
     velocity| times half the interval. The velocity is that of the piece's center plus the contribution of its

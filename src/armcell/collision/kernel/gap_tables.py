@@ -31,7 +31,8 @@ VERSION = 3  # increase when the tables change, to invalidate the disk cache
 
 
 class JointRanges(NamedTuple):
-    """Ranges of the two joints that move a pair of bodies (one joint: the second range is a point).
+    """Ranges of the one or two joints that move a pair of bodies, for a gap table. With one joint, the second
+    range is a single point.
 
     Attributes:
         lower, upper: (2,) [rad or m].
@@ -84,8 +85,8 @@ def gap_table(distance: Callable[[F64], float], ranges: JointRanges, undecided: 
 
 
 def grid(ranges: JointRanges, counts: tuple[int, int]) -> F32:
-    """Return the numbers with which the kernel finds a cell of a gap table: lower limit, cells per unit and
-    period in cells of each joint (6,).
+    """Return the numbers (6,) with which the kernel finds a cell of a gap table. For each of two joints, they
+    are the lower limit [rad or m], the cells per unit [rad or m], and the cells per turn.
     """
     span = ranges.upper - ranges.lower
     per_unit = np.divide(counts, span, out=np.zeros(2), where=span > 0)

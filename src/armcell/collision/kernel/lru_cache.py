@@ -11,8 +11,8 @@ Value = TypeVar("Value")
 
 
 class LruCache(Generic[Value]):
-    """Thread-safe in-memory cache (LRU). It keeps at most `most` values and discards the least recently used
-    value first.
+    """Thread-safe LRU cache in memory for at most `most` values. It discards the least recently used value
+    first.
     """
 
     def __init__(self, most: int):

@@ -45,7 +45,8 @@ ROOM = 2048  # capacity of a proof's stack of intervals
 
 @inner_njit(forceinline=True)
 def fill_lanes(I, w, p, a, b, at, step):
-    """Fill the 16 SIMD lanes with evenly spaced configurations on one edge of a motion to check.
+    """Fill the 16 SIMD lanes with evenly spaced configurations on one edge of a motion, for a collision
+    check.
 
     The edge leads from p[a:] to p[b:]; the fractions of the edge are at, at + step, ...
     """
@@ -153,8 +154,8 @@ def prove(k, p, first, last, count, at, mode, finest):
 
 @inner_njit
 def deviation_margins(k, room):
-    """Compute in the kernel how far [m] each body can deviate from a motion to prove, given the largest
-    deviation of each joint.
+    """For a motion proof in the kernel, compute how far [m] each body and each pair of bodies can deviate
+    from the motion, given the largest deviation of each joint.
 
     The deviations are room (dof,).
     """
@@ -223,8 +224,7 @@ def prove_points(handle, points, room, distance, mode):
 
 @njit(cache=True, nogil=True)
 def proven_clearance(handle, points, most, tolerance):
-    """Return the largest clearance [m] that the kernel can prove for a motion (k, dof). It is found by
-    bisection.
+    """Find the largest clearance [m] that the kernel can prove for a motion (k, dof), by bisection.
 
     The result is at most `most`, never above the true minimum distance, and below it by about `tolerance` or
     less.

@@ -25,8 +25,8 @@ BEYOND = 0.02  # [rad, m] extension of the joint ranges beyond the limits
 
 
 class Frames(NamedTuple):
-    """Moving frames (f) of a robot, as one argument of the compiled search for sphere groups that can come
-    near each other.
+    """Moving frames of a robot, bundled as one argument of the compiled search for sphere groups that can
+    come near each other.
 
     Attributes:
         fixed: (f, 12) pose of each frame in its parent frame at joint value 0, rows of a 3x4 matrix.

@@ -272,8 +272,8 @@ class _Builder:
         return _meetings.get((self.chain, f, e, self.placed[i], self.placed[j]), look)
 
     def _branches(self, f: int, e: int) -> Branches:
-        """Return the kernel's frames from the last common ancestor of two
-        robot bodies down to each of the two bodies.
+        """Return the two chains of kernel frames that lead from the last common ancestor of two robot bodies
+        to each of the bodies.
 
         The common frame itself is not included.
         """
@@ -284,8 +284,8 @@ class _Builder:
         return a[common:], b[common:]
 
     def _between(self, f: int, e: int) -> tuple[Branches, list[int]]:
-        """Return the kernel's frames between two robot bodies, as `_branches`, and the joint columns that
-        move these frames.
+        """Return the branches of kernel frames that lead to two robot bodies (see `_branches`), and the
+        columns of the joints that move these frames.
         """
         branches = self._branches(f, e)
         return branches, sorted({self.column[frame] for branch in branches for frame in branch})
@@ -298,8 +298,8 @@ class _Builder:
         i: int,
         j: int,
     ) -> tuple[near_groups.SphereGroups, near_groups.SphereGroups, near_groups.Frames, F64, F64]:
-        """Return the sphere groups of two robot bodies, the frames, and the ranges of the joint variables
-        that move the bodies relative to each other: the arguments of `near_groups.cached_near_groups`.
+        """Return the arguments of `near_groups.cached_near_groups` for two robot bodies: their sphere groups,
+        the frames, and the ranges of the joint variables that move one body relative to the other.
         """
         place = {c: k for k, c in enumerate(columns)}
         bodies = []
@@ -399,9 +399,9 @@ class _Builder:
         return reach
 
     def _axis_reach(self, branch: list[int], columns: list[int], spheres: F64) -> F64:
-        """Return upper bounds (columns,) on how far a body moves per unit of each joint variable: the largest
-        distance of the body from each joint's axis. For one or two revolute joints, the bounds are tighter
-        than those of `_group_reach`.
+        """Return upper bounds (columns,) on how far a robot body moves per unit of each joint variable. For
+        one or two revolute joints, they are the largest distances from the joint axes, which is tighter than
+        `_group_reach`.
 
         Args:
             branch: frames from the common frame down to the body's frame.
@@ -494,8 +494,8 @@ def _turned_to_z(x: float, y: float, z: float) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class _Meeting:
-    """Arrays of index lists that state which sphere groups of one robot body can touch which sphere groups of
-    another.
+    """Index lists that state which sphere groups of two robot bodies can touch each other, as arrays for the
+    kernel.
 
     Attributes:
         first: (n,) groups of the first body that can touch a group of the second body.
@@ -509,8 +509,8 @@ class _Meeting:
 
     @staticmethod
     def of(meets: NDArray[np.bool_]) -> _Meeting:
-        """Convert a mask (g, h) to index lists for the robot's kernel arrays. Entry [i, j] is True if sphere
-        group i of one robot body can touch group j of another.
+        """Create index lists for the robot's kernel arrays from a mask (g, h) of two bodies. Entry [i, j]
+        states whether sphere group i of one body can touch sphere group j of the other.
         """
         counts = meets.sum(axis=1)
         first = counts.nonzero()[0]
@@ -522,14 +522,16 @@ def _triangles(link: Link) -> int:
 
 
 def _fine_links(model: RobotModel) -> set[str]:
-    """Return the links that need a fine sphere cover."""
+    """Return the robot links that need a fine sphere cover: the contact links of grippers, and base links
+    with a narrow gap to another link.
+    """
     return {f for g in model.grippers.values() for f in g.contact_links} | narrow_gaps(model)
 
 
 @dataclass(frozen=True, eq=False)
 class _PairGaps:
-    """Gap table (n1, n2) of a pair of robot bodies, the columns of the joints that move it, and the numbers
-    of `gap_tables.grid` (6,).
+    """Gap table of a pair of robot bodies: the gaps (n1, n2), the columns of the one or two joints that move
+    the pair, and the numbers (6,) that `gap_tables.grid` returns.
     """
 
     gaps: F32
@@ -538,7 +540,9 @@ class _PairGaps:
 
 
 def _joined_gap_tables(tables: list[_PairGaps | None]) -> dict[str, Any]:
-    """Return the kernel's arrays of gap tables, of one table or none for each pair."""
+    """Combine the gap tables of a robot's body pairs into arrays for the kernel. The list contains None for
+    each pair without a gap table.
+    """
     index, grids = np.full((len(tables), 5), -1, np.int32), np.zeros((len(tables), 6), np.float32)
     parts, first = [np.zeros(0, np.float32)], 0
     for row, table in enumerate(tables):

@@ -30,7 +30,7 @@ class TriangleTree(NamedTuple):
 
     @staticmethod
     def of(triangles: F64) -> TriangleTree:
-        """Return the tree of triangles (m, 3, 3), m > 0, sorted along a Z-order curve."""
+        """Build the tree of triangles (m, 3, 3), m > 0, which are sorted along a Z-order curve."""
         low, high = triangles.min(axis=1), triangles.max(axis=1)
         order = z_order(low, high)
         leaves = 1 << max(-(-len(order) // LEAF) - 1, 0).bit_length()

@@ -118,8 +118,8 @@ def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
 
 
 def _within(owner: I64, sizes: I64 | Sequence[int]) -> I64:
-    """Return the offset of each entry of a kernel table within its world object: the total size of the
-    earlier entries of the same object.
+    """Return, for each entry of a kernel table, the offset of the entry within the world object that owns it:
+    the total size of the object's earlier entries.
 
     The owners are sorted.
     """
@@ -283,7 +283,9 @@ def _similar(items: tuple[CollisionObject, ...]) -> World:
 
 
 def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, ...]) -> World:
-    """Update the kernel's arrays for a changed world. The rows of unchanged objects are copied."""
+    """Update the kernel's arrays after a change of the world. Only the rows of new or changed objects are
+    computed; the others are copied.
+    """
     known = np.fromiter((last.index.get(item, -1) for item in items), np.int64, len(items))
     begin, end = _runs(known)
     first, count = known[begin], end - begin
@@ -303,8 +305,8 @@ def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, 
 
 
 def _runs(known: I64) -> tuple[I64, I64]:
-    """Split the objects of a changed world into runs. A run is either consecutive in the arrays of the
-    previous world, so that it is copied as one block, or contains only new objects (index -1).
+    """Split the world objects of a changed scene into runs. The objects of a run are either all new (index
+    -1), or consecutive in the kernel's previous world arrays, so that they are copied as one block.
     """
     new = known < 0
     joins = np.where(new[1:], new[:-1], ~new[:-1] & (np.diff(known) == 1))

@@ -320,7 +320,9 @@ REALTIME = "the robot missed 20 commands in a row: free this computer, or use ch
 
 
 class FrankaExecution:
-    """Handle of a trajectory that the worker of a Franka arm plays. The speed slider slows its clock."""
+    """Handle to monitor and cancel a trajectory on a real Franka arm. The arm's worker process plays the
+    trajectory, and the speed slider slows it down.
+    """
 
     def __init__(self, arm: FrankaArm, trajectory: JointTrajectory):
         self._arm, self._duration = arm, trajectory.duration

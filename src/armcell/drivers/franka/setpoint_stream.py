@@ -254,8 +254,8 @@ class SetpointStream:
         self._settled = self._settled + 1 if self.source.is_finished else 0
 
     def _rejoin(self, q_d: Array, dq_d: Array, ddq_d: Array) -> None:
-        """Bring the streamed Franka setpoints back to the plan:
-        their deviation decays with smooth acceleration.
+        """Lead the streamed Franka setpoints back to the planned motion: their deviation from the plan decays
+        with smooth acceleration.
         """
         p0, p1, p2 = self._plan
         off = q_d - p2

@@ -124,7 +124,9 @@ class RealArm(ABC):
 
     @abstractmethod
     def setpoint(self) -> tuple[Array, Array]:
-        """Return the positions [rad] and velocities [rad/s], each (n,), that a real arm tracks at present."""
+        """Return the commanded positions [rad] and velocities [rad/s], each (n,), that a real arm is tracking
+        now.
+        """
 
     @abstractmethod
     def sample(self) -> ArmSample:
@@ -209,7 +211,9 @@ class RealArm(ABC):
 
 
 class StreamedExecution:
-    """Motion that is streamed to several real arms on one clock. If one arm slows down or stops, all do."""
+    """Handle of a motion that is streamed to several real arms on one clock. If one arm slows down or stops,
+    all arms do.
+    """
 
     def __init__(
         self, arms: Sequence[RealArm], trajectory: JointTrajectory, lead: float,

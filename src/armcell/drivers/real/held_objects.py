@@ -44,7 +44,7 @@ class HeldObjects:
             self.poses[name] = T_world_object
 
     def release(self, gripper: str) -> None:
-        """Record that a real arm's gripper opens."""
+        """Record that the gripper of a real arm opens, so that it no longer holds an object."""
         self._held.pop(gripper, None)
         self._lost.discard(gripper)
 

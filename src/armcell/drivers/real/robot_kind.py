@@ -136,8 +136,8 @@ class RobotKind(ABC, Generic[A, I]):
     # --- bring-up ---
     @abstractmethod
     def measure_network(self, arm: A) -> NetworkReport:
-        """Measure the round-trip times and the intervals between state messages on the connection to a real
-        arm. The robot does not move.
+        """Measure round-trip times and the intervals between state messages on the connection to an arm of
+        this robot kind, without moving the arm.
         """
 
     @abstractmethod

@@ -378,8 +378,8 @@ class UrArm(RealArm):
         self._halting = halting  # assigned after the start, because other threads join it
 
     def _stop_over_dashboard(self) -> None:
-        """Stop the robot program of the UR arm over the dashboard too,
-        in case the program does not receive commands.
+        """Stop the robot program of the UR arm over the dashboard as well, in case the program receives no
+        commands.
 
         A paused program receives no commands from its link.
         """

@@ -116,8 +116,8 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
 
 
 def _fitting(own: SE3, wanted: Array, nominal: SE3, slide: float) -> tuple[float, float]:
-    """Compute the rotation of a UR link and the offset of the next joint along its axis that keep this joint
-    close to its nominal position in the calibrated robot model.
+    """Compute two corrections of a calibrated UR model: the rotation of a link, and the offset of the next
+    joint along its axis. With them, the next joint stays close to its nominal position.
 
     Args:
         own: K_i of the robot.

@@ -130,7 +130,7 @@ NEAR = 0.02  # [m] largest difference of a calibrated geometry from its model; m
 
 @dataclass(frozen=True)
 class UrIdentity:
-    """Identity and state of a UR robot, as its controllers report them."""
+    """Identity and state of a UR robot, as its controller reports them."""
 
     host: str
     model: UrModel

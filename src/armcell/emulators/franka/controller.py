@@ -65,8 +65,8 @@ def scene_without_cell() -> PlanningScene:
 
 
 def torque_world(scene: PlanningScene, physics: PhysicsSettings | None = None) -> SimWorld:
-    """Return the physics world of a scene for emulated Franka controllers,
-    which drive the joints by torques at 1 kHz.
+    """Return the physics world in which an emulated Franka controller drives the joints by torques at 1 kHz,
+    for a scene.
     """
     return SimWorld(scene, replace(physics or PhysicsSettings(), **TORQUE_PHYSICS))
 
@@ -144,7 +144,7 @@ class FrankaController:
 
 
 class FrankaRack(Rack[FrankaController]):
-    """Rack of several emulated Franka controllers that run in one thread, each with its own plant.
+    """Several emulated Franka controllers, each with its own plant, that run in one thread as a rack.
 
     Args:
         groups: planning group of each plant's arm.

@@ -388,7 +388,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def brakes(self, locked: bool) -> None:
-        """Lock or unlock the brakes of the emulated Franka robot, as an operator does in Desk."""
+        """Lock or unlock the brakes of the emulated Franka robot. Locking ends its motion."""
         if locked:
             self._slow_down()
             self._finish(MoveStatus.ABORTED)
@@ -398,7 +398,9 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def guide(self, on: bool) -> None:
-        """Press or release the enabling button for guiding the emulated Franka robot by hand."""
+        """Switch the emulated Franka robot to guiding by hand, or back to idle: the enabling button is
+        pressed or released.
+        """
         if on and self.mode is RobotMode.IDLE:
             self.mode = RobotMode.GUIDING
         elif not on and self.mode is RobotMode.GUIDING:
@@ -456,7 +458,8 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_stiffness(self, joint: bool, values: Sequence[float]) -> SetterStatus:
-        """Set the joint (7) or Cartesian (6) stiffness of the emulated Franka robot, if Franka allows it.
+        """Set the joint (7) or Cartesian (6) stiffness of the emulated Franka robot. Values that Franka does
+        not allow are rejected.
 
         Units are [Nm/rad] for joints and rotations, and [N/m] for translations.
         """

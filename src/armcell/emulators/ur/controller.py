@@ -53,7 +53,8 @@ class ControllerSettings:
 
 
 def factory_calibration(model: UrModel, seed: int | None, serial: str = "") -> Kinematics:
-    """Return the geometry of an emulated UR controller's robot, either nominal or with manufacturing errors.
+    """Return the geometry of the UR robot that a controller emulates: the nominal geometry, or one with
+    random manufacturing errors.
 
     The tolerances are about 1 mm and 1 mrad.
 

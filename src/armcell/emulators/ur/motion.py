@@ -46,8 +46,8 @@ class Setpoint:
         return other
 
     def accelerated_toward(self, v_wanted: Array, a: float, dt: float) -> tuple[Array, Array]:
-        """Compute the next setpoint in the motion of an emulated UR arm that accelerates toward the desired
-        joint velocities, within its acceleration and velocity limits.
+        """Accelerate an emulated UR arm toward the desired joint velocities for one step, within the limits
+        of acceleration and velocity. Return the next setpoint of the motion.
 
         Args:
             v_wanted: joint velocities (6,) [rad/s].
@@ -283,7 +283,9 @@ class BlendedMotion:
         self.near, self.done = False, False
 
     def goal_positions(self, s: Setpoint) -> Array:
-        """Return the joint positions (6,) [rad] at the goal of the second of two blended UR motions."""
+        """Return the joint positions (6,) [rad] at the end of two blended UR motions, which is the goal of
+        the second one.
+        """
         return self._next.goal_positions(s)
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -400,8 +402,8 @@ class SpeedJ:
 
 
 class SpeedL(SpeedJ):
-    """URScript motion speedl at a constant tool velocity [m/s, rad/s, base frame],
-    reached with `a` [m/s^2].
+    """URScript motion speedl at a constant tool velocity [m/s, rad/s, base frame], reached with the
+    acceleration `a` [m/s^2].
     """
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:

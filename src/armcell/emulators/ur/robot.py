@@ -145,8 +145,9 @@ class Robot:
         self._expire_motion(motion)
 
     def _choose_motion(self) -> float:
-        """Replace the motion of the emulated UR robot with a stop if necessary. Return the motion's time step
-        [s]: the control period scaled by the speed slider, or unscaled for a stop.
+        """Choose the motion of the emulated UR robot, which is a stop if the robot must not move. Return the
+        time step [s] of the motion: the control period, scaled by the speed slider unless the motion is a
+        stop.
         """
         dt, s = self.period * self.scaling, self.setpoint
         if self.safety not in MAY_MOVE:
@@ -167,8 +168,8 @@ class Robot:
         return self.compliance.apply(s, q, self.external_wrench(), self.period if by_hand else max(dt, 1e-9))
 
     def _expire_motion(self, motion: Motion | None) -> None:
-        """End a motion of the emulated UR robot, such as servoj or speedj,
-        after the program has stopped renewing its command.
+        """End a motion of the emulated UR robot that its program must command again and again, such as servoj
+        or speedj, after the program has stopped doing so.
         """
         if self.runtime in (RuntimeState.PLAYING, RuntimeState.PAUSING) or self.machine is None:
             self._unused_for = 0 if self._motion_used else self._unused_for + 1

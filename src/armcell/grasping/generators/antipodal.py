@@ -106,8 +106,8 @@ def _spread(pairs: list[Pair], before: list[Pair]) -> list[Pair]:
 
 
 def _places(pairs: list[Pair]) -> Array:
-    """Return vectors (n, 6) for comparing contact pairs of antipodal grasps: the midpoint [m] divided by 0.02
-    m, then the unit direction between the contacts.
+    """Represent the contact pairs of antipodal grasps as vectors (n, 6), to compare the pairs: the midpoint
+    [m] divided by 0.02 m, then the unit direction between the contacts.
     """
     return np.array([np.concatenate([m / 0.02, c]) for m, c, _ in pairs]).reshape(-1, 6)
 

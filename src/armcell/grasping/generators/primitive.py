@@ -48,8 +48,8 @@ def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _depth(half: float, hand: Hand) -> float:
-    """Return the depth [m] of a grasp's TCP below the surface of a primitive, measured along the approach
-    direction. The finger length limits the depth.
+    """Return how deep [m] the TCP of a grasp is below the surface of a primitive, measured along the approach
+    direction. The finger length limits this depth.
 
     Without the limit, the tcp is at the object's center.
     """
@@ -57,8 +57,8 @@ def _depth(half: float, hand: Hand) -> float:
 
 
 def _along(half: float) -> list[tuple[float, str]]:
-    """Return positions [m] for grasps along the side of a primitive, as offsets from its center, each with a
-    suffix for the name of the grasp.
+    """Return offsets [m] from the center of a primitive at which to grasp it along its side, each with a
+    suffix for the grasp's name.
 
     A long side has several offsets.
     """

@@ -164,8 +164,8 @@ class NumericIK(IKSolver):
         return nearer
 
     def nearer(self, q: Array, T_world_tip: SE3, wanted: Array, reference: Array) -> Array:
-        """Return a numeric IK solution (n,) for the same tip pose as the solution q (n,) that is closer to
-        the wanted positions (n,), if the chain is redundant.
+        """For a redundant chain, return a numeric IK solution (n,) that is closer to the wanted positions
+        (n,) than the solution q (n,). The tip pose stays the same.
 
         Args:
             reference: positions (dof,) of all joints; joints outside the group stay at these positions.
@@ -199,8 +199,8 @@ class NumericIK(IKSolver):
 
 @dataclass(frozen=True, eq=False)
 class TurnedPose:
-    """Tip pose T_world_tip that numeric IK has found to be reachable, and its rotation about a free axis
-    [rad] from a goal pose.
+    """Reachable tip pose T_world_tip that numeric IK has found for a goal with a free axis of rotation, and
+    the angle [rad] by which this pose is turned about the axis.
     """
 
     angle: float

@@ -291,8 +291,8 @@ class IKSolver(ABC):
     def _closest(
         self, prepared: ChainData, goal: Array, at: Array, reference: Array, outside: dict[str, int]
     ) -> IKResult:
-        """Return the failed result of an IK solver for a pose that is out of reach, with the nearest pose
-        that can be reached.
+        """Return the failed result of an IK solver. It contains the reachable pose that is nearest to the
+        unreachable goal pose.
         """
         chain, seeds = prepared.chain, prepared.seeds
         scores = np.empty(len(seeds.positions), np.float32)

@@ -44,7 +44,7 @@ class Couplings:
     rules: dict[int, tuple[int, float, float]] = field(default_factory=dict)
 
     def add(self, joint: int, other: int, multiplier: float, offset: float) -> None:
-        """Add the coupling q[joint] = multiplier * q[other] + offset of two joints.
+        """Record that two MJCF joints are coupled by q[joint] = multiplier * q[other] + offset.
 
         The coupling connects the drivers of both joints. Of the two drivers, the one with its own actuator
         stays the driver. If both have one, the driver of `other` does; if neither has one, the first in the
@@ -98,8 +98,8 @@ def couplings(model: Any, name: str) -> Couplings:
 
 
 def tendon_joints(model: Any, tendon: int) -> list[tuple[int, float]]:
-    """Return the joints and coefficients of a fixed MJCF tendon, which couples joints. Empty for other
-    tendons.
+    """Return the joints that a fixed MJCF tendon couples, each with its coefficient. The list is empty for
+    other tendons.
     """
     first = int(model.tendon_adr[tendon])
     parts = range(first, first + int(model.tendon_num[tendon]))

@@ -123,9 +123,7 @@ class _Reader:
         return model
 
     def report_bare(self, model: RobotModel) -> None:
-        """Warn about links read from an MJCF file that have visual shapes but that neither planning nor
-        physics checks for collisions.
-        """
+        """Warn about visible links of an MJCF file that planning and physics do not check for collisions."""
         groups = [g for g in model.rigid_groups if any(model.links[name].collisions for name in g)]
         solid = {name for group in groups for name in group}
         bare = [name for name, link in model.links.items() if link.visuals and name not in solid]
@@ -273,8 +271,8 @@ class _Reader:
         return found, min((v for v in limits if v > 0), default=np.inf)
 
     def gear(self, actuator: int, joint: int) -> float:
-        """Return the change in length of an MJCF actuator for a unit of joint motion.
-        It is 0 if the actuator drives another joint.
+        """Return how much the length of an MJCF actuator changes per unit of a joint's motion. It is 0 if the
+        actuator drives another joint.
         """
         m = self.m
         kind, target = int(m.actuator_trntype[actuator]), int(m.actuator_trnid[actuator, 0])
@@ -290,7 +288,8 @@ class _Reader:
         return gear * total
 
     def sprung_joints(self) -> set[int]:
-        """Return the joints of an MJCF file that only springs hold, such as soft fingertips.
+        """Return the joints in an MJCF file that only springs hold in position, such as those of soft
+        fingertips.
 
         They rest at their springs' reference positions, because no motor moves them. Physics keeps them.
         Hands with spatial tendons have return springs in joints that the tendons move.

@@ -201,7 +201,8 @@ def _add_sites(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
 
 
 def _state_pose(geom: Any, model: Any, i: int) -> None:
-    """State the pose and size of a geom of a robot's spec explicitly, as its compiled model has them.
+    """Set the pose and the size of a geom in a robot's MuJoCo spec explicitly, to the values in the compiled
+    model.
 
     The file may state them by another orientation, two end points or a <frame>.
     """

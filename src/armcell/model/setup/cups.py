@@ -61,7 +61,8 @@ class MeasuredCup:
 def with_suction_gripper(
     model: RobotModel, end: EndEffector, links: Sequence[str] = (), tool: str = ""
 ) -> RobotModel:
-    """Return the robot with a suction gripper whose cups are measured on the shapes of links.
+    """Add a suction gripper to the robot and return the robot. The cups are measured on the shapes of their
+    links.
 
     Args:
         links: links of the cups; empty: the links that are named like cups.
@@ -165,8 +166,8 @@ def _rims(name: str, shapes: list[tuple[Mesh, SE3]], axis: F64) -> list[Measured
 
 
 def _connected(mesh: Mesh, at: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
-    """Return the vertices selected by `at` (v,), such as those of suction cups' rims, as one index array for
-    each part that edges connect.
+    """Group the vertices that the mask `at` (v,) selects, such as those of suction cups' rims, into parts
+    that edges connect. Return one index array for each part.
     """
     from scipy.sparse import coo_matrix  # imported late: the import takes 0.1 s, and few models have cups
     from scipy.sparse.csgraph import connected_components
@@ -181,8 +182,8 @@ def _connected(mesh: Mesh, at: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
 
 
 def _circle(points: F64) -> tuple[F64, float] | None:
-    """Fit the rim of a suction cup: return center (2,) and radius [m] of a circle around points (n, 2), or
-    None if they form none.
+    """Fit a circle to the rim points (n, 2) of a suction cup. Return its center (2,) and radius [m], or None
+    if the points are not on a circle.
     """
     angle = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     along = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -212,7 +213,9 @@ def _visuals(link: Link) -> list[tuple[Mesh, SE3]]:
 
 
 def _mesh(shape: Shape | None) -> Mesh | None:
-    """Return a shape as a mesh if it can be the shape of a cup: a mesh, a cylinder or a cone."""
+    """Return the mesh of a shape that can be a suction cup: a mesh, a cylinder or a cone. Return None for any
+    other shape.
+    """
     if isinstance(shape, Mesh):
         return shape
     if not isinstance(shape, Cylinder | Cone):
@@ -258,7 +261,7 @@ def _axes(z: F64, rings: F64) -> F64:
 
 
 def _with_tcp(model: RobotModel, end: EndEffector, T_mount_tcp: SE3, tool: str) -> tuple[RobotModel, str]:
-    """Return the robot with a tcp link in the middle of the suction cups' rings, and its name."""
+    """Return the robot with a tcp link in the middle of the suction cups' rings, and the name of the link."""
     mount = end.parent_link
     for name in (tool,) if tool else _rigid(model, mount):
         if model.links[name].collisions and not tool:

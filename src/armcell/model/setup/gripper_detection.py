@@ -118,9 +118,9 @@ def _limits(text: str, value: str) -> tuple[float, float]:
 
 
 def find_grippers(model: RobotModel, tips: bool = False, stated: Sequence[GripperSpec] = ()) -> RobotModel:
-    """Detect the grippers of a robot and return the robot with them: a `Gripper` for each end effector with
-    two jaws and one driven joint, and a `SuctionGripper` for each end effector for which the user specifies
-    it.
+    """Detect the grippers of a robot, and return the robot with them. An end effector with two jaws and one
+    driven joint gets a `Gripper`. If the user specifies suction for an end effector, it gets a
+    `SuctionGripper`.
 
     If no frame of the robot is at the center of the pads or cups, the robot gets a link `<end effector>_tcp`
     there. Log messages state why an end effector has no gripper.
@@ -239,8 +239,8 @@ def _with_gripper(model: RobotModel, end: EndEffector, fact: GripperSpec) -> Rob
 
 
 def _moves_both_jaws(model: RobotModel, end: EndEffector, name: str, fact: GripperSpec) -> RobotModel | None:
-    """Try to detect a gripper in which the driven joint `name` moves both jaws. Return the robot with this
-    gripper, or None.
+    """Try to detect a gripper with the single driven joint `name`, which moves both jaws. Return the robot
+    with this gripper, or None.
     """
     if sum(j.movable and model.coupling(j.name)[0] == name for j in model.joints.values()) < 2:
         return None

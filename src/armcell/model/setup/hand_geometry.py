@@ -131,8 +131,8 @@ class HandGeometry:
         return sum(j.movable for j in self.model.chain(self.model.root_link, self.palm))
 
     def gap(self, a: tuple[str, ...], b: tuple[str, ...], axes: F64, q: float) -> tuple[float, F64, F64, F64]:
-        """Compute the gap [m] between two jaws from the geometry of a hand: the points on the jaws' facing
-        surfaces, on a grid in x and z.
+        """Measure the gap [m] between two jaws in the geometry of a hand: compare the points on the jaws'
+        facing surfaces, on a grid in x and z.
 
         Returns:
             The smallest gap [m] (infinite if the jaws face each other nowhere), and the cells (n, 2), the

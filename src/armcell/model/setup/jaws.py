@@ -222,7 +222,7 @@ def _single(hand: HandGeometry, jaw: Part, low: float, high: float, closes: str)
 
 def _between_pads(hand: HandGeometry, a: Part, b: Part, axes: Array, q: float, turn: float) -> Array:
     """Rotate the axes of a gripper's jaws about x until z bisects the angle between the pads of the half-open
-    gripper. With this z axis, the closing jaws push a grasped object only slightly along z.
+    gripper. The closing jaws then push a grasped object only slightly along z.
 
     If the axis of an arm with few joints is near the pad of the fixed jaw, it becomes z.
 
@@ -255,8 +255,8 @@ def _nearest(hand: HandGeometry, fixed: Part, jaw: Part, q: float, pivot: Array)
 
 
 def _axes(y: Array, out: Array) -> Array:
-    """Return the axes (3, 3) of a gripper's frame as rows, given the closing direction of its jaws and the
-    direction out of the hand.
+    """Return the axes (3, 3) of a gripper's frame as rows, computed from the closing direction of the jaws
+    and the direction in which they point out of the hand.
     """
     y = _snapped(y / np.linalg.norm(y))
     z = out - (out @ y) * y

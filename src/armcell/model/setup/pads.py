@@ -131,7 +131,8 @@ def _touching(hand: HandGeometry, jaws: Jaws) -> Jaws:
 
 
 def _opening_cells(hand: HandGeometry, jaws: Jaws, cells: Array, gaps: Array) -> NDArray[np.bool_]:
-    """Return which grid cells (n,) between a turning jaw and the fixed jaw can belong to the gripper's pads.
+    """Return a mask (n,) of the grid cells that can belong to a gripper's pads: cells in which a turning jaw
+    and the fixed jaw do not overlap, at least when the gripper is open.
 
     Around the jaw's joint, both links overlap in every position, so the gap there does not grow when the
     gripper opens.
@@ -229,7 +230,7 @@ def _reach(hand: HandGeometry, jaws: Jaws, width: float, curve: Array, z: float)
 
 
 def _finger_links(hand: HandGeometry, part: tuple[str, ...]) -> list[str]:
-    """Return the finger links of a jaw whose pads are measured: in each rigid part of the jaw, the link with
+    """Return the links of a jaw on which its pads are measured: in each rigid part of the jaw, the link with
     the most surface points.
     """
     rigid = dict.fromkeys(hand.rigid[name] for name in part)
@@ -280,7 +281,9 @@ def _force(hand: HandGeometry, slope: float) -> float:
 
 
 def _depth(hand: HandGeometry, jaws: Jaws, axes: Array, z: float) -> float:
-    """Return the length [m] of a detected gripper's jaws, from the tcp between the pads to the palm."""
+    """Return the distance [m] from the tcp between a gripper's pads to the palm, which is the length of the
+    detected jaws.
+    """
     moving = {n for j in hand.moving for n in hand.model.subtree(j.child)}
     body = [n for n in hand.hand_links() if n not in moving]
     if jaws.single:  # the palm is a jaw

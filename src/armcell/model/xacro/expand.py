@@ -88,7 +88,8 @@ def expand_with_source_locations(
     allow_env: bool | None = None,
     home: Path | None = None,
 ) -> tuple[str, list[Place]]:
-    """Expand a xacro file. Return the resulting URDF text and the places of its elements in document order.
+    """Expand a xacro file. Return the resulting URDF text and, for each of its elements in document order,
+    the element's place in the xacro source.
 
     Args:
         file: the xacro file.
@@ -126,8 +127,8 @@ def expand_with_source_locations(
 
 
 def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
-    """List the arguments that are missing for expanding a xacro file: first `name`, then each argument that
-    the file uses without declaring it, unless `given` contains it.
+    """List the arguments that must still be given to expand a xacro file: `name`, and every argument that the
+    file uses but that is neither declared in the file nor in `given`.
     """
     text = etree.tostring(root, encoding="unicode")
     known = {*given, *(str(e.get("name")) for e in root.iter() if is_xacro_tag(e, "arg"))}

@@ -194,7 +194,8 @@ class RobotFiles:
         return value
 
     def matching(self, pattern: Path) -> list[Path]:
-        """Return a robot's files whose paths match a pattern with wildcards (`*`, `?` or `[...]`), sorted.
+        """Return the files of a robot description that match a path with wildcards (`*`, `?` or `[...]`) in a
+        xacro file, sorted.
 
         Raises:
             XacroError: `..` follows a wildcard, or a match is outside the robot's packages.

@@ -23,7 +23,7 @@ PERCENT = re.compile(r"%(?:\((?P<key>[^)]*)\))?[#0\- +]*(?P<width>\*|\d*)(?:\.(?
 
 
 def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function:
-    """Make a Python function callable as a function in xacro expressions. Each call deducts the size of the
+    """Wrap a Python function so that xacro expressions can call it. Each call deducts the size of its
     arguments from the operations that the xacro file may still use.
 
     The budget assumes that the function's run time is at most proportional to the size of its arguments.

@@ -188,7 +188,9 @@ def truth(value: Any, text: str | None = None) -> bool:
 
 
 class Arguments:
-    """Names in the scope of xacro's `$(eval ...)`: built-in names and the values of `$(arg NAME)`."""
+    """Names that an expression `$(eval ...)` can use in its xacro scope: built-in names, and the values of
+    `$(arg NAME)`.
+    """
 
     def __init__(self, scope: Names, values: dict[str, str]):
         self.scope, self.values = scope, values
@@ -268,7 +270,8 @@ def missing_hint(names: list[str]) -> str:
 
 
 class Substitution:
-    """Evaluator for xacro's substitution arguments, which are the texts inside `$(...)`.
+    """Evaluator that the scopes of a xacro file use for substitution arguments, which are the texts inside
+    `$(...)`.
 
     Args:
         files: reader of the robot's files, which finds packages.

@@ -251,8 +251,8 @@ class FollowedLine:
 
 
 def _near(checker: KernelChecker, q: F64) -> list[Contact]:
-    """List the pairs of bodies that touch or are closer than the padding at positions q (n,) of a robot that
-    follows a Cartesian line.
+    """List the pairs of bodies that touch, or are closer than the padding, when a robot that follows a
+    Cartesian line is at positions q (n,).
 
     The list has only the nearest pair if just the kernel checker finds one.
     """

@@ -72,8 +72,8 @@ def _tolerances(what: str, values: tuple[float, ...]) -> None:
 
 
 def contradiction(scene: PlanningScene, group: str, constraints: Constraints) -> str:
-    """Validate the constraints of a request together: explain why no state satisfies all of them if they are
-    contradictory.
+    """Validate the constraints of a request together. If they contradict each other, explain why no state
+    satisfies all of them.
 
     Return "" if the checks find no contradiction.
     """

@@ -215,7 +215,7 @@ def signed_distance(n, c, shape, sizes, px, py, pz):
 
 @njit(cache=True)
 def nearest_region_shape(n, c, point, sizes, px, py, pz):
-    """Find the shape of a constraint region that is nearest to a world point. Kernels compute the
+    """Find which shape of a constraint region is nearest to a world point. Compiled kernels compute the
     constraint's error from the distance to this shape.
 
     Returns:

@@ -168,7 +168,8 @@ def constraint_errors(
 
 
 def satisfies_constraints(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> bool:
-    """Return whether joint positions q (n,) of the group satisfy all constraints.
+    """Evaluate all constraints at joint positions q (n,) of the group, and return whether all of them are
+    satisfied.
 
     See `constraint_errors`.
     """

@@ -152,8 +152,8 @@ def constrained_planner(checker: KernelChecker, manifold: ConstraintManifold) ->
 
 @lru_cache(maxsize=1)
 def warm_up_constraints() -> float:
-    """Compile all kernels for planning with path constraints before their first use, and return the duration
-    [s].
+    """Warm up planning with path constraints: compile all its kernels before the first plan. Return the
+    duration [s].
     """
     began = time.monotonic()
     announce_compilation("RRTConnect with path constraints", constrained_rrt_connect)
@@ -285,7 +285,9 @@ def plan_constrained(
 
 
 def _attempt(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlanResult:
-    """Search for paths that satisfy the path constraints until one of them can be certified and timed."""
+    """Search for paths that satisfy the path constraints until one of them can be certified and its timing
+    computed.
+    """
     request, checker = validated.request, problem.checker
     torque = torque_model(validated.scene, checker.joint_names) if request.torque_limits else None
     answer, why = None, "found paths, but none whose timed motion could be proven to keep to the constraints"

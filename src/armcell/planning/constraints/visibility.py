@@ -173,8 +173,8 @@ class _View:
 
 
 def _farthest(scene: PlanningScene, link: str) -> float:
-    """Return how far [m] the bodies of a sensor link in a visibility constraint extend from the origin of the
-    link.
+    """Return the largest distance [m] of a sensor link's collision shapes from the origin of the link, for a
+    visibility constraint.
     """
     far, scale = 0.0, scene.link_scale.get(link, 1.0)
     for part in scene.model.links[link].collisions:
@@ -199,8 +199,8 @@ def _carriers(scene: PlanningScene, names: tuple[str, ...], link: str) -> set[in
 
 
 def _multipliers(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
-    """Return the largest rotation (dof,) [rad] of a visibility constraint's sensor or target link per radian
-    of each joint.
+    """Return how far [rad] the sensor or target link of a visibility constraint rotates at most per radian of
+    each joint, as an array (dof,).
     """
     total = np.zeros(len(names))
     for k, multiplier in _moving(scene, names, link):

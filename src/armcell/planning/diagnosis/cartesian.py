@@ -271,8 +271,8 @@ def _around(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, numbe
 
 
 def _full(diagnosis: Diagnosis, q: np.ndarray) -> np.ndarray:
-    """Return all joint positions (dof,) for the diagnosis of a Cartesian path, with the joints of the group
-    at q (n,).
+    """Return the joint positions (dof,) of the whole robot in which the group is at q (n,), for the diagnosis
+    of a Cartesian path.
     """
     full = diagnosis.start_scene.positions.copy()
     full[diagnosis.columns] = q
@@ -288,7 +288,7 @@ def _can_stand(diagnosis: Diagnosis, request: CartesianRequest, pose: SE3, ik: I
 
 
 def _shorter(diagnosis: Diagnosis, request: CartesianRequest, number: int, pose: SE3) -> None:
-    """Suggest a shorter Cartesian path that ends where the requested line stops."""
+    """Suggest a shorter Cartesian path, which ends where the arm cannot follow the requested line further."""
     if diagnosis.result.path is None or diagnosis.result.fraction <= 0:
         return
     waypoints = (*request.waypoints[:number], pose)

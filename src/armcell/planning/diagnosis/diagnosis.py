@@ -332,8 +332,8 @@ def report_distance(diagnosis: Diagnosis, what: str, a: Array, b: Array) -> None
 
 
 def wanted_joints(diagnosis: Diagnosis, goal: JointGoal | NamedGoal) -> np.ndarray | None:
-    """Return, for a diagnosis, the joint positions (n,) that a joint goal or named goal specifies for the
-    group, even if the positions violate joint limits.
+    """Return, for a diagnosis, the group's joint positions (n,) at a joint goal or named goal, even if they
+    violate joint limits.
 
     Return None for misuse.
     """

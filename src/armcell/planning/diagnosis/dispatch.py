@@ -35,8 +35,8 @@ EXPLAINERS: dict[ErrorCode, Callable[[Diagnosis], None]] = {
 
 
 def with_explanation(kind: type) -> Callable[[F], F]:
-    """Decorate the planning function for one kind of request. The explanation of a failed result is
-    dispatched, when it is requested, to the diagnosis that fits the failure.
+    """Return a decorator for the planning function of one kind of request, which makes failed results
+    explainable: the dispatcher selects the diagnosis that fits the failure, when an explanation is requested.
     """
 
     def decorate(solve: F) -> F:

@@ -223,7 +223,9 @@ def _report_some(diagnosis: Diagnosis, what: str, branches: list[IKBranch]) -> N
 
 
 def _back_into_reach(diagnosis: Diagnosis, search: PoseSearch, T, closest):
-    """Find the reachable pose that is nearest to an unreachable goal pose and has the same orientation."""
+    """Find a goal pose that the robot reaches, with the orientation of an unreachable goal pose and as near
+    to it as possible, for the diagnosis of the goal.
+    """
     at = diagnosis.start_scene.positions.copy()
     at[diagnosis.columns] = closest
     tree, tip = search.ik.tree, search.ik.tip_link
@@ -265,8 +267,8 @@ def _report_turn(diagnosis: Diagnosis, number: int, goal: PoseGoal, near) -> boo
 
 
 def _closest_pose(diagnosis: Diagnosis, number: int, goal: PoseGoal, search: PoseSearch, closest) -> None:
-    """Suggest the reachable pose that is closest to an unreachable goal pose; both its position and its
-    orientation may differ from the goal.
+    """Suggest the closest reachable pose as goal in place of an unreachable goal pose. Its position and its
+    orientation may both differ from the old goal.
     """
     at = diagnosis.start_scene.positions.copy()
     at[diagnosis.columns] = closest

@@ -78,8 +78,8 @@ def _bisected(bad: Array, good: Array, free: Free) -> Array:
 
 # --- poses ---
 def _grid() -> Array:
-    """Return 26 unit directions (26, 3), toward the faces, edges and corners of a cube, in which to search
-    for the nearest reachable pose.
+    """Return the 26 unit directions (26, 3) in which to search for the nearest reachable pose: toward the
+    faces, edges and corners of a cube.
     """
     steps = np.array(np.meshgrid(*[[0, 1, -1]] * 3, indexing="ij")).reshape(3, -1).T
     steps = steps[np.any(steps != 0, axis=1)].astype(float)

@@ -23,8 +23,8 @@ OUTSIDE = IKSettings(seeds=60)
 
 @dataclass(frozen=True, eq=False)
 class IKBranch:
-    """IK solution examined to explain an unreachable pose, with the contacts and joint-limit violations that
-    make the solution invalid.
+    """IK solution of a possibly unreachable pose, with its contacts and the amounts by which it violates
+    joint limits.
 
     Attributes:
         positions: (n,) joint positions of the solution.
@@ -38,7 +38,7 @@ class IKBranch:
 
     @property
     def free(self) -> bool:
-        """Return whether an IK solution of a possibly unreachable pose is within limits and free of
+        """Return whether an IK solution of a possibly unreachable pose respects the joint limits and has no
         contact.
         """
         return not self.contacts and not self.beyond
@@ -144,8 +144,8 @@ def solutions_beyond_limits(
 
 
 def _turned_in(ik: IKSolver, q: np.ndarray) -> np.ndarray:
-    """Rotate the joints in an IK solution of the pose by full turns,
-    so that they exceed their limits as little as possible.
+    """Rotate the revolute joints in an IK solution of an unreachable pose by full turns, so that they exceed
+    their limits as little as possible.
     """
     at = q.copy()
     for k, name in enumerate(ik.joint_names):

@@ -43,7 +43,7 @@ DISTINCT = 1e-2  # [rad or m] goals with a smaller difference in every joint cou
 
 
 def goal_of(model: RobotModel, group: str, target: Target) -> Goal:
-    """Convert a target that a user gives (a named state, a pose or joint values) to a goal of a planning
+    """Convert joint values, a named state or a pose, as a user specifies them, to the goal of a planning
     group.
 
     Args:
@@ -150,7 +150,7 @@ class _GoalFilter:
         return self.checker.exact.contacts(q) or [c for c in (nearest(q),) if c is not None]
 
     def refusal(self) -> Outcome | None:
-        """Return the reason why all tested joint goals were rejected, or None if none was tested."""
+        """Return the reason why every tested joint goal was rejected. Return None if no goal was tested."""
         if self.forbidden:
             return Outcome(ErrorCode.INVALID_GOAL_CONSTRAINTS, f"goal: {self.forbidden}")
         contacts = [c for c in map(self.contacts, self.blocked[:BLOCKED]) if c]

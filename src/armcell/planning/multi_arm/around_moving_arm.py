@@ -250,8 +250,8 @@ def _earliest(
     latest: float, deadline: float,
     cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search in joint space and time for one arm's motion that avoids the moving arms and reaches a goal as
-    early as possible.
+    """Plan one arm's motion around moving arms so that it reaches a goal as early as possible, by repeated
+    searches in joint space and time.
 
     Return a certified smooth motion that arrives before `latest` [s], or None. See `_searched`.
     """

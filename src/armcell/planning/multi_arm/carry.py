@@ -280,7 +280,7 @@ class _DetourPlanner:
         return BlockedSegment(text, blocked.evidence, ErrorCode.TIMED_OUT), poses_tried
 
     def _ends(self, a: SE3, b: SE3, q: Array) -> list[Array] | BlockedSegment:
-        """Find joint positions of both arms for the goal pose of the object that they carry.
+        """Find the joint positions of both arms at the goal pose of the object in a two-arm carry.
 
         The result contains the positions at the end of the straight path, otherwise the nearest ones.
         """

@@ -100,8 +100,8 @@ class RoundedObjectPath:
 
 
 def length(a: SE3, b: SE3, radius: float) -> float:
-    """Return the distance [m] between two poses of a carried object,
-    which also accounts for the rotation between them.
+    """Return the distance [m] between two poses on the path of an object, including the rotation between
+    them.
 
     A rotation counts as the motion of a point at the distance `radius` [m].
     """

@@ -48,13 +48,15 @@ class SpaceTimeProblem:
     upper: Array
 
     def quickest(self, p: Array, q: Array) -> float:
-        """Return the shortest time [s] that a motion between two joint positions needs in a search in space
-        and time.
+        """Return the shortest time [s] in which the arm can move between two joint positions, for the search
+        in space and time.
         """
         return float(np.max(np.abs(q - p) / self.speed))
 
     def arrival(self, goal: int) -> float:
-        """Return the earliest time [s] at which a search in space and time can arrive at a goal."""
+        """Return the earliest time [s] at which the arm can arrive at a goal, for the search in space and
+        time.
+        """
         return max(
             self.start_time + self.quickest(self.start, self.goals[goal]), float(self.goals_from[goal])
         )
@@ -173,8 +175,8 @@ def _sample(problem: SpaceTimeProblem, tree: _Tree, horizon: float, rng: np.rand
 
 
 def _extend(problem: SpaceTimeProblem, tree: _Tree, q: Array, t: float) -> int:
-    """Add an edge toward (q, t) to a tree for a search in space and time. Return the new node, or -1 on
-    failure.
+    """Extend a tree of the search in space and time by an edge toward (q, t): joint positions q at time t.
+    Return the new node, or -1 on failure.
     """
     node = tree.nearest(q, t, problem.speed)
     if node < 0:

@@ -184,8 +184,8 @@ def _goals(arms: InterArmChecker, requests, scenes, clearance: float) -> dict[st
 
 
 def _by_cost(costs: Sequence[Sequence[float]]) -> Iterator[tuple[int, ...]]:
-    """Yield the combinations of goals for synchronized motions, one goal per arm, in the order of their total
-    cost: an index for each arm.
+    """Yield combinations of goals for synchronized motions, the combination with the lowest total cost first.
+    Each one is a tuple with the index of one goal per arm.
 
     Args:
         costs: the cost of each goal, by arm.

@@ -81,8 +81,8 @@ class MotionCommand:
         return self.validated.choice.settings
 
     def moved_frame(self, link: str | None = None) -> MovedFrame:
-        """Return the frame that a Pilz motion command moves: the link of the goal, or the tip of the
-        group.
+        """Return the frame that a Pilz motion command moves: the link that the goal names or, by default, the
+        tip of the group.
         """
         wanted = self.request.goals[0]
         named = wanted.link if isinstance(wanted, PoseGoal) else link
@@ -116,8 +116,9 @@ class MotionCommand:
         return None
 
     def tip_profile(self, length: float, angle: float) -> Profile:
-        """Compute the velocity profile with which a Pilz motion is generated, over the path parameter s (0 to
-        1), from the length [m] and rotation angle [rad] of its tip path.
+        """Choose the velocity profile for generating a LIN or CIRC motion, from the command's scaling factors
+        and the length [m] and rotation angle [rad] of the tip path. The profile runs over the path parameter
+        s (0 to 1).
 
         The profile accelerates and brakes the longer of length and angle (scaled by the equivalent radius),
         like KDL's paths, which MoveIt uses.
@@ -162,8 +163,8 @@ def time_curve(curve: Curve, profile: Profile, joint_names: tuple[str, ...]) -> 
 
 
 def synchronized_profile(step: F64, velocity: F64, acceleration: F64, deceleration: F64) -> Trapezoid:
-    """Compute the velocity profile with which a PTP motion is generated: the fastest trapezoid that all
-    joints can share, for joint steps (n,).
+    """Choose the velocity profile for generating a PTP motion with joint steps (n,): the fastest trapezoid
+    that all joints can share.
 
     MoveIt applies the group's strictest limits to every joint. Here each joint has its own limits: if all
     limits are equal, the motion equals MoveIt's; otherwise it is at least as fast.

@@ -326,8 +326,8 @@ def _blend(first: _Item, second: _Item, number: int) -> Blend | Outcome:
 
 
 def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
-    """Check a blend of a Pilz sequence against the Cartesian speed limit and the workspace of one of the two
-    blended motions. Return the failure, or None if the blend keeps both.
+    """Check whether a blend of a Pilz sequence keeps the Cartesian speed limit and the workspace of one of
+    its two motions. Return the failure, or None.
     """
     request, speed = item.request, item.request.max_cartesian_speed
     if speed is not None:

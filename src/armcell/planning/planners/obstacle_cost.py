@@ -97,8 +97,8 @@ class RobotSpheres:
         return out
 
     def joint_gradient(self, R: Array, o: Array, x: F32, pull: F32) -> Array:
-        """Convert the obstacle cost's forces `pull` on the robot's spheres to the cost gradient (m, n) in
-        joint space. Forces and sphere positions x are (m, s, 3).
+        """Compute the gradient (m, n) of the obstacle cost in joint space from the forces `pull` (m, s, 3) on
+        the robot's spheres, which have positions x (m, s, 3).
 
         The result is the sum of J^T f over the spheres.
         """

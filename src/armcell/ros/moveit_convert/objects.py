@@ -33,8 +33,8 @@ PRISM = 5  # shape_msgs/SolidPrimitive's type of a prism, only in ROS 2; armcell
 
 
 def _primitives() -> dict[int, tuple[str, ShapeKind | None, SolidPrimitive]]:
-    """Return the shape name, the shape class and the fields of each type number of shape_msgs/SolidPrimitive.
-    A prism has no shape class.
+    """Return the shapes that shape_msgs/SolidPrimitive can describe, by type number. Each entry has the
+    shape's name, its row of the shape table (None for a prism) and the order of its dimensions.
     """
     return _primitives_of(tuple(shapes.imported()))
 
@@ -100,7 +100,7 @@ def prism(base: NDArray[np.float64], height: float) -> Mesh:
 
 
 def _area(corners: NDArray[np.float64]) -> float:
-    """Return the signed area [m2] of the base polygon (n, 2) of a shape_msgs prism. The area is positive if
+    """Return the signed area [m^2] of the base polygon (n, 2) of a shape_msgs prism. The area is positive if
     the corners are counterclockwise.
     """
     (x, y), (u, v) = corners.T, np.roll(corners, -1, axis=0).T
@@ -174,8 +174,8 @@ class ShapeMessages:
         self.planes: list[tuple[Any, SE3]] = []
 
     def add(self, shape: Shape, T: SE3) -> None:
-        """Convert a shape at pose T to shape_msgs messages, and append them with their poses to these lists.
-        A capsule becomes a cylinder and two spheres.
+        """Convert a shape at pose T to shape_msgs messages, and add them to the lists of messages and poses
+        for an object. A capsule becomes a cylinder and two spheres.
 
         Point clouds and octrees are omitted, because these lists cannot represent them.
         """

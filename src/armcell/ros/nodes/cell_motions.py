@@ -158,8 +158,8 @@ class CellMotions:
         return self.scene()
 
     def held_object(self, gripper: Gripper) -> str | None:
-        """Return the object between the fingers of a gripper, or None. Motions of the cell carry this object
-        along.
+        """Return the object that a gripper of the cell holds, or None. Motions of the cell that clients
+        request carry this object along.
         """
         return self.conductor.call(lambda: self.live.driver.gripper(gripper.name).held)
 
@@ -313,8 +313,8 @@ class CellMotions:
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
     def _blocking_motion(self, work: MotionHandle, others: list[MotionHandle]) -> MotionHandle | None:
-        """Return a motion of the cell that must start or end before the collision check of `work`, another
-        motion, can begin. Return None if there is no such motion.
+        """Return a motion of the cell that must start or end before the motion `work` can be checked for
+        collisions. Return None if there is no such motion.
         """
         before = [w for w in self.conductor.motions(work.joints) if not w.gives_way]
         late = [w for w in others if w.began is None]

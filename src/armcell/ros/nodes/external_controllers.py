@@ -159,8 +159,8 @@ class ExternalControllers:
         return ControllerMotion(outlets, running, FACTOR * trajectory.duration + GRACE)
 
     def _part(self, trajectory: JointTrajectory, joints: Sequence[str]) -> JointTrajectory:
-        """Return the part of a trajectory that one external controller executes.
-        It contains all joints of this controller.
+        """Return the part of a trajectory for one external controller. The part contains all joints of this
+        controller.
 
         Joints of the controller that the trajectory does not move keep their positions.
         """

@@ -198,7 +198,9 @@ class GripperMotions:
             self._expected[gripper.name].add(item.name)
 
     def revoke_finger_contacts(self, joints: Iterable[str]) -> None:
-        """Revoke the declaration of expected finger contacts for objects that the arm has moved away from."""
+        """Stop expecting contacts between a gripper's fingers and those objects that the arm has moved away
+        from.
+        """
         driver = self._live.driver
         for gripper in self._live.model.grippers.values():
             expected = self._expected[gripper.name]

@@ -52,7 +52,8 @@ class BusBridge:
             self._thread.join(5.0)
 
     def wait_settled(self, timeout: float) -> bool:
-        """Wait until the ROS 1 master knows all topics and services that the bridge offers from the bus.
+        """Wait until the bridge has offered all topics and services of the bus to ROS 1 and the master knows
+        them.
 
         Args:
             timeout: limit [s].

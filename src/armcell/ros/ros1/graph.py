@@ -147,7 +147,9 @@ class Ros1Graph:
         return self.bridge.wait_settled(timeout)
 
     def say(self, level: str, text: str) -> None:
-        """Publish a log line to the ROS 1 graph. A level that ROS does not know becomes `info`."""
+        """Publish a log line of this program to the ROS 1 graph that it has joined. A level that ROS does not
+        know becomes `info`.
+        """
         if self.rosout is not None:
             self.rosout.say(level if level in LEVELS else "info", text)
 

@@ -73,7 +73,7 @@ class Registrar:
             self._changed.notify_all()
 
     def update_publishers(self, topic: str, uris: list[str]) -> None:
-        """Pass on the current publishers of a topic, which the ROS 1 master reports (publisherUpdate) after
+        """Pass on the list of a topic's current publishers. The ROS 1 master sends it (publisherUpdate) after
         publishers have been registered or unregistered.
         """
         with self._telling:
@@ -82,8 +82,8 @@ class Registrar:
             self._on_publishers(topic, uris)
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the topics and services of a ROS 1 node are registered at the master. Return False on
-        timeout.
+        """Wait until the registrar has registered all topics and services of its ROS 1 node at the master.
+        Return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -108,7 +108,8 @@ class Registrar:
 
     # --- in the registrar's thread ---
     def _differences(self) -> list[tuple[Entry, str | None]]:
-        """Return the topics and services that must be registered or unregistered at the ROS 1 master.
+        """Return the topics and services whose registration at the ROS 1 master must change: those to
+        register, and those to unregister.
 
         Returns:
             Pairs of an entry and its type or address; None instead of the type means to unregister.

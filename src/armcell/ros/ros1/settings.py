@@ -153,8 +153,8 @@ def is_this_machine(host: str) -> bool:
 
 
 def own_address() -> str:
-    """Return the address under which other machines reach a ROS 1 node:
-    the address of this machine on its default route.
+    """Return this machine's address for the settings of a ROS 1 node: the address on the default route, under
+    which other machines reach the node.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:

@@ -306,7 +306,7 @@ class Reactor:
         self._soon(lambda: self._watch(channel, True))
 
     def later(self, delay: float, task: Task) -> None:
-        """Run a task in the reactor thread of a ROS 1 node after a delay [s]."""
+        """Let the reactor (the event loop of a ROS 1 node's sockets) run a task after a delay [s]."""
         at = time.monotonic() + delay
         self._soon(lambda: heapq.heappush(self._timers, (at, next(self._numbers), task)))
 

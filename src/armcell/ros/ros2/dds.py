@@ -354,7 +354,9 @@ class _Endpoint:
         return list(handles[: max(min(count, BATCH), 0)])
 
     def newly_incompatible(self, function: str) -> bool:
-        """Return whether a DDS peer with incompatible QoS has appeared since the last call."""
+        """Return whether Cyclone DDS has reported a peer with incompatible QoS for this reader or writer
+        since the last call.
+        """
         status = _QosStatus()
         if getattr(self._dds, function)(self.handle, ct.byref(status)) < 0:
             return False

@@ -66,8 +66,8 @@ class Scope:
         self, element: Element, name: str, default: str = "", pose: Element | None = None,
         T_pose_frame: SE3 | None = None,
     ) -> None:  # fmt: skip
-        """Register a named frame of an SDF model. A link, a joint, a nested model or a <frame> element of the
-        model (or world) defines the frame.
+        """Register a named frame of an SDF model or world. A link, a joint, a nested model or a <frame>
+        element defines the frame.
 
         Args:
             element: the element, for error messages.

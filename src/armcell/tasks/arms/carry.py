@@ -165,8 +165,8 @@ class TwoArmCarry:
         return self._corrected(q, offset), v
 
     def _corrected(self, q: Array, offset: Array) -> Array:
-        """Return the joint setpoints of two arms that carry an object,
-        corrected so that the second hand moves by an offset (3,) [m].
+        """Correct the joint setpoints of a two-arm carry: return setpoints that shift the second hand by an
+        offset (3,) [m] without rotating it.
         """
         if not offset.any():
             return q

@@ -110,7 +110,9 @@ class ChooseMeetingPose:
 @stage_types.register("offer_object")
 @dataclass(frozen=True, eq=False)
 class OfferObject:
-    """Handover stage that detaches the object, which then rests between the giver's fingers."""
+    """Handover stage that detaches the object from the giver's hand in the planning scene. The object then
+    rests between the giver's fingers.
+    """
 
     object: str
     giver: Gripper

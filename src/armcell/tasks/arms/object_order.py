@@ -217,8 +217,8 @@ def best_order(
 
 
 def _near(every: tuple[Order, ...]) -> Iterable[tuple[Order, ...]]:
-    """Yield the next candidates in the local search for the best object order: one sequence of objects for
-    each arm.
+    """Yield the next candidates in the local search for the best object order. A candidate has one sequence
+    of objects for each arm.
 
     These are all orders if there are few, else those that differ by one change.
     """
@@ -297,9 +297,8 @@ class ConflictCache:
     def conflict_section(
         self, arm: int, segment: TourSegment, other_arm: int, other: TourSegment
     ) -> tuple[float, float] | None:
-        """Return, to compare object orders, the section of one arm's motion in which it comes too close to
-        another arm at work. Return None if the arms keep their clearance or the motion of either arm is
-        unknown.
+        """Return in which section of its motion an arm comes too close to another arm that is working, to
+        compare object orders. Return None if the arms keep their clearance or one of the motions is unknown.
 
         The section is a pair of fractions (0..1) of the motion. `detours` tests whether the arm passes this
         section while the other arm works.

@@ -90,7 +90,8 @@ def screw(
 
 
 def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> JointTrajectory:
-    """Return the trajectory that drives a screw: wait for `press_time`, then rotate the last joint smoothly.
+    """Return the trajectory that drives a screw: it waits for `press_time` [s] and then rotates the last
+    joint smoothly.
 
     The rotation is a quintic polynomial of time.
     """

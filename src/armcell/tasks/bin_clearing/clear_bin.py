@@ -171,7 +171,9 @@ class _BinClearing:
         return self._end(ErrorCode.FAILURE, text)
 
     def _push(self, here: RegionView) -> Outcome:
-        """Push a piece that the hand does not fit around off the walls, if such a push is found."""
+        """While clearing a bin, push a piece away from the walls if the hand does not fit around it. Return a
+        failure if no such push is found.
+        """
         ctx, gripper, counts, t = self.ctx, self.gripper, self.counts, self.ctx.settings
         hand = hand_of(ctx.base.model, gripper)
         pushes = pushes_off_walls(

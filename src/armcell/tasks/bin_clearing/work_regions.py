@@ -171,7 +171,8 @@ def view_region(
 def _without_contained(
     seen: HeightMap, labels: NDArray[np.int64], container: Container, above: float
 ) -> NDArray[np.int64]:
-    """Return the labels without the pieces that belong to an object in a container which leans over its wall.
+    """Remove pieces from the labels of a work region: pieces of an object that is in a container and leans
+    over its wall. Return the remaining labels.
 
     The object counts as contained if at least half of what the camera sees of it is over the container.
     """

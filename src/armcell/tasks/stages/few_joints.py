@@ -69,8 +69,8 @@ class _Family:
     turns: list[tuple[Grasp, float]]
 
     def nearest(self, angle: float) -> tuple[Grasp, float]:
-        """Return the grasp of a family whose pose is nearest to a rotation [rad] of the first grasp, and the
-        rotation [rad] from this grasp.
+        """Return the grasp of a family that is nearest to a given rotation [rad] from the first grasp, and
+        the remaining rotation [rad] from the returned grasp.
         """
         turns = [(grasp, (angle - own + np.pi) % (2 * np.pi) - np.pi) for grasp, own in self.turns]
         return min(turns, key=lambda turn: abs(turn[1]))
@@ -124,8 +124,8 @@ def grasps_in_reach(
 
 
 def _lacks_two(scene: PlanningScene, gripper: Gripper) -> bool:
-    """Return whether an arm has fewer than five independent joints. Even if a pose may rotate freely about
-    one axis, such an arm does not reach every pose.
+    """Return whether an arm has fewer than five independent joints. Such an arm cannot reach every pose, even
+    if the tool may rotate freely about one axis.
     """
     return independent_joints(scene.model, gripper) < POSE_JOINTS - 1
 
@@ -134,8 +134,8 @@ def _families(
     scene: PlanningScene, gripper: Gripper, item: CollisionObject, grasps: Sequence[Grasp],
     missed: Sequence[Grasp],
 ) -> Iterator[_Family]:  # fmt: skip
-    """Yield the families of grasps among which an arm with few joints may choose: those of the missed grasps,
-    then, for an arm that may also pitch the hand, those of all grasps, by pitch angle.
+    """Yield families of grasps for an arm with few joints, first those of the grasps that it cannot reach. If
+    the arm may also pitch the hand, the families of all grasps follow, one pitch angle after the other.
     """
     yield from _families_at(item, missed, 0.0)
     for pitch in PITCHES if _lacks_two(scene, gripper) else ():
@@ -144,7 +144,9 @@ def _families(
 
 
 def _families_at(item: CollisionObject, grasps: Sequence[Grasp], pitch: float) -> list[_Family]:
-    """Return the families of grasps whose hand is pitched by an angle [rad]."""
+    """Group grasps for an arm with few joints into families, in which the TCP poses differ only by a rotation
+    about one axis. The hand is pitched by the angle `pitch` [rad] in all of them.
+    """
     families: dict[bytes, _Family] = {}
     lean = SE3(SO3.exp((0.0, pitch, 0.0)), np.zeros(3))
     for grasp in grasps:
@@ -162,8 +164,8 @@ def _families_at(item: CollisionObject, grasps: Sequence[Grasp], pitch: float) -
 def _rotated_grasps(
     scene: PlanningScene, gripper: Gripper, item: CollisionObject, family: _Family, pose_error: float
 ) -> Iterator[Grasp | Rejection]:
-    """Yield the grasps of a family in the reach of an arm with few joints, or why a grasp in reach does not
-    hold the object.
+    """Yield those grasps of a family that an arm with few joints reaches. For a grasp that would not hold the
+    object, yield the reason instead.
     """
     hand, T_object_world = hand_of(scene.model, gripper), item.T_world_object.inverse()
     pitched = f", pitched {np.rad2deg(family.pitch):.0f} deg" if family.pitch else ""
@@ -194,8 +196,8 @@ def _rotated_grasps(
 def _poses(
     scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3, T_world_axis: SE3
 ) -> Iterator[TurnedPose]:
-    """Yield TCP poses that an arm with few joints reaches by a rotation of a pose about an axis.
-    The poses are tilted only if the arm reaches none without tilt.
+    """Rotate a TCP pose about an axis, and yield the poses that an arm with few joints can reach. Poses are
+    tilted only if the arm reaches none without tilt.
     """
     model, arm, tcp = scene.model, gripper.arm_group, gripper.tcp_link
     T_tcp_axis = T_world_tcp.inverse() @ T_world_axis
@@ -209,8 +211,8 @@ def _poses(
 
 
 def _free_axes(item: CollisionObject, T_world_tcp: SE3) -> list[SE3]:
-    """Return the frames T_world_axis about whose z axes a grasp of an object may rotate: the object's axis of
-    symmetry, and the vertical.
+    """Return the frames T_world_axis about whose z axes an arm with few joints may rotate a grasp: on the
+    object's axis of symmetry, and on the vertical.
 
     The vertical passes through the center of a ball, or through the TCP.
     """

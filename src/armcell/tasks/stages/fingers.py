@@ -46,8 +46,8 @@ class MoveGripper:
 
 
 def opened_in_transit(scene: PlanningScene, steps: Sequence[Step]) -> tuple[Step, ...]:
-    """Let fingers move in transit: return the steps of a task such that each gripper motion directly before
-    an arm motion is executed during this arm motion, if no finger touches anything meanwhile.
+    """Let fingers move while the arm moves. Each gripper motion directly before an arm motion becomes
+    simultaneous with it, if no finger then touches anything. Return the steps of the task.
 
     Args:
         scene: at the start of the steps, with the present finger positions.

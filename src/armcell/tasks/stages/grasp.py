@@ -241,7 +241,8 @@ def approaches(
     solution: PartialSolution, planning: SearchState, stage: str, item: str, gripper: Gripper, grasp: Grasp,
     back: Callable[[PlanningScene, SE3], PlanResult],
 ) -> Iterator[PartialSolution]:  # fmt: skip
-    """Yield solutions of a pick with a straight approach to a grasp, one for each arm state that reaches it.
+    """Yield partial solutions of a pick that approach a grasp in a straight line, one for each arm state that
+    reaches the grasp.
 
     Arm states without an approach are rejected with a reason.
 
@@ -291,7 +292,8 @@ def approaches(
 @stage_types.register("append_planned_motion")
 @dataclass(frozen=True, eq=False)
 class AppendPlannedMotion:
-    """Stage that appends a motion which an earlier stage has planned, such as the approach to a grasp.
+    """Stage that appends a motion from an earlier stage without planning again, for example the approach that
+    the choice of a grasp has already found.
 
     The motion is `data[motion]`; it leads to the scene `data[scene]`.
     """
@@ -363,8 +365,8 @@ class LiftCheck:
 
 
 def _turned(proof: GraspProof) -> Iterator[Grasp]:
-    """Yield, for the stage that chooses a grasp, the grasp after the object has rotated between the finger
-    pads: one grasp for each direction of rotation.
+    """Yield, for the choice of a grasp, two variants in which the object has rotated between the finger pads,
+    one in each direction.
 
     The angle is the median rotation of the object in the simulated trials of this grasp.
     """

@@ -206,8 +206,8 @@ def plan_straight(scene: PlanningScene, group: str, link: str, target: SE3, spee
 def plan_within_reach(
     over: Callable[[float], PlanResult], distance: float, least: float, around_obstacles: bool = False
 ) -> PlanResult:
-    """Plan the straight move of a stage over a distance [m]. If the arm cannot move that far, plan a motion
-    nearly as far as the arm can move. If this motion fails, plan a motion over the distance `least`.
+    """Plan the straight move of a stage over a distance [m]. If the arm cannot move that far, plan it over
+    nearly the distance that the arm can move, and if that fails, over the distance `least`.
 
     Args:
         over: plans the motion over a given length [m].
@@ -240,8 +240,8 @@ def with_motion(
     outcome: Outcome | None = None, planned_in: PlanningScene | None = None,
     asked: Mapping[str, Any] = MappingProxyType({}), kind: Callable[..., Motion] = Motion,
 ) -> Iterator[PartialSolution]:  # fmt: skip
-    """Yield the partial solution extended by a planned motion of the arm. If planning has failed, reject the
-    candidate and yield nothing.
+    """Append the planned motion of the arm to a partial solution, and yield the result. If planning has
+    failed, yield nothing and reject the candidate.
 
     Args:
         outcome: result of a motion from the robot's present state, for its code. Omit it for a motion from a

@@ -95,8 +95,8 @@ class ChoosePlacement:
     def _turned(
         self, solution: PartialSolution, planning: SearchState, placement: Placement
     ) -> Iterator[PartialSolution]:
-        """Yield solutions with a descent to a placement that is turned to a pose in the reach of an arm with
-        few joints. A given placement turns by at most `TILT`.
+        """Yield placing solutions for an arm with few joints: turn a placement until the arm can reach it,
+        then add a descent. A placement that the user has given turns by at most `TILT`.
         """
         scene = solution.scene
         item, support = scene.object(self.object), scene.object(self.support)

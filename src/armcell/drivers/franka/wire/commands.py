@@ -117,7 +117,9 @@ class RecoveryStatus(IntEnum):
 
 
 class MoveController(IntEnum):
-    """Controller of a Franka motion, as encoded in the Move command."""
+    """Type of the controller that tracks a Franka motion (joint impedance, Cartesian impedance or external),
+    as encoded in the Move command.
+    """
 
     JOINT_IMPEDANCE = 0
     CARTESIAN_IMPEDANCE = 1

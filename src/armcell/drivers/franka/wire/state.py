@@ -221,7 +221,7 @@ def read_state(data: bytes) -> RobotState:
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """Motion command to a Franka robot that answers one of its UDP state messages.
+    """Motion command that is sent to a Franka robot in answer to one of its UDP state messages.
 
     Only the fields of the motion's modes count.
     """

@@ -208,8 +208,8 @@ def grow(handle, no_room, g, stamp, samples, block, blocks, stop):
 
 @njit(cache=True, nogil=True)
 def insert(g, stamp, path, numbers, joined):
-    """Add the collision-free rows of a path (m, dof) as vertices to a roadmap, in the PRM kernel, and write
-    the vertices' numbers to `numbers`.
+    """Add the collision-free configurations of a path (m, dof) to a PRM roadmap as vertices, in the compiled
+    kernel. Write the numbers of the vertices to `numbers`.
 
     Args:
         joined: whether the path's edges are also known to be free.
