@@ -12,11 +12,12 @@ from armcell.core import ArmcellError
 from armcell.sim.compiled_stepper import compiled_steps
 from armcell.sim.contacts import ContactMonitor
 from armcell.sim.friction import HeldObjectCorrection, SlidingFriction
-from armcell.sim.gripper_servos import Fingers, Welder
+from armcell.sim.gripper_servos import Fingers
 from armcell.sim.mujoco_model import BuiltModel
 from armcell.sim.servo import ArmServo, Controls
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.suction import Suction
+from armcell.sim.welds import Welder
 
 Array = NDArray[np.float64]
 
