@@ -34,7 +34,9 @@ class ExecutionMonitor(Protocol):
     def check(self) -> None: ...
 
     def end(self, how: str) -> None:
-        """End the motion guard's monitoring of a motion. `how` is "done" or the reason why the motion failed."""
+        """End the motion guard's monitoring of a motion. `how` is "done" or the reason why the
+        motion failed.
+        """
         ...
 
 
