@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, SO3
 from armcell.model import SuctionGripper
 from armcell.sim.mujoco_model import BuiltModel, GripperIndex
 from armcell.sim.robot import servo_gains
@@ -190,17 +189,3 @@ def _suction_state(built: BuiltModel, suction: Suction, name: str) -> GripperSta
         sealed=(owners.count(held), len(cups)),
         vacuum=gripper.vacuum * max((float(suction.law[k, LEVEL]) for k in cups), default=0.0),
     )
-
-
-def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
-    """Return the pose T_a_b between two MuJoCo bodies, such as a gripper and its held object, after the last
-    physics step.
-
-    Both poses come from the same instant.
-    """
-    return body_pose(data, body_a).inverse() @ body_pose(data, body_b)
-
-
-def body_pose(data: mujoco.MjData, body: int) -> SE3:
-    """Return the pose T_world_body of a MuJoCo body, such as a gripper's tcp, after the last physics step."""
-    return SE3(SO3(data.xmat[body].reshape(3, 3).copy()), data.xpos[body].copy())

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from armcell.core import SE3
-from armcell.sim.gripper_servos import GripperDrive, finger_forces, relative_pose
-from armcell.sim.mujoco_model import BuiltModel, GripperIndex
+from armcell.sim.gripper_servos import GripperDrive, finger_forces
+from armcell.sim.mujoco_model import BuiltModel, GripperIndex, relative_pose
 from armcell.sim.settings import PhysicsSettings
 
 _CHECK_EVERY = 5  # steps between two checks of the weld modes
