@@ -284,7 +284,8 @@ class Driver(ABC):
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Let a driver play a trajectory until a time [s], or until the tracking error exceeds the tolerance.
+        """Let the robot driver play part of a trajectory: until a time [s], or until the tracking error
+        exceeds the tolerance.
 
         At least one driver period passes.
 

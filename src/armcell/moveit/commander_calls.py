@@ -53,7 +53,8 @@ def wait_for_result(session: Session, sent: ClientGoalHandle) -> Any:
 
 
 def joint_constraints(session: Session, values: dict[str, float], tolerance: float) -> Any:
-    """Return the goal constraints that a moveit_commander call sends for given joint positions.
+    """Create the goal constraints for given joint positions that any call of moveit_commander's classes
+    sends.
 
     Args:
         values: joint name -> position [rad or m].
@@ -69,7 +70,7 @@ def joint_constraints(session: Session, values: dict[str, float], tolerance: flo
 def pose_constraints(
     session: Session, link: str, target: Any, position: float | None, orientation: float | None
 ) -> Any:
-    """Return the goal constraints that a moveit_commander call sends for the pose of a link.
+    """Create the goal constraints for the pose of a link that any call of moveit_commander's classes sends.
 
     Args:
         target: a PoseStamped.

@@ -8,8 +8,8 @@ from armcell.core import CameraImage, ErrorCode, Outcome
 
 
 def check_image_age(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if a camera image is older than `max_age` [s] and must not be used.
-    Otherwise return None.
+    """Check the age of a camera image: return an error outcome if the image is older than `max_age` [s] and
+    must not be used. Otherwise return None.
     """
     if now is None or now - image.time <= max_age:
         return None
@@ -23,7 +23,7 @@ def check_image_age(image: CameraImage, max_age: float, now: float | None) -> Ou
 
 
 def check_image(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if a camera image is too old, or gives no point cloud because it has no depth.
+    """Check whether a camera image can be used: return an error outcome if it is too old or has no depth.
     Otherwise return None.
     """
     old = check_image_age(image, max_age, now)

@@ -248,8 +248,7 @@ def _rows(points: Sequence[Any], field: str, n: int) -> np.ndarray | None:
 
 
 def joint_state_from_message(message: Any, model: RobotModel) -> JointState | None:
-    """Convert a sensor_msgs/JointState message, such as the one in a moveit_msgs/RobotState, to a joint state
-    without the mimic joints.
+    """Convert a sensor_msgs/JointState message to a joint state of armcell, without the mimic joints.
 
     Returns:
         The joint state, or None if the message names no actuated joint.
@@ -273,7 +272,7 @@ def joint_state_from_message(message: Any, model: RobotModel) -> JointState | No
 
 
 def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory) -> Any:
-    """Convert a trajectory of robot states to a trajectory_msgs/JointTrajectory message.
+    """Convert a trajectory of armcell to a trajectory_msgs/JointTrajectory message.
 
     Velocities and accelerations are included if the trajectory has them.
     """

@@ -125,7 +125,7 @@ class Stepper:
         return before
 
     def _draw_vacuum(self, data: mujoco.MjData) -> None:
-        """Let the stepper set the vacuum forces of all suction cups for the next physics step."""
+        """Let the stepper set the vacuum forces of all suction cups before it takes the next physics step."""
         count = min(data.ncon, self.monitor.readable)
         self.suction.update(count, self.monitor.pairs, self._owner, data.ctrl)
 

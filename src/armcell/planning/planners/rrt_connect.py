@@ -144,8 +144,8 @@ class NativePlanner:
         return simplify_path(c.handle, self.path, count, self.space, self.index, self.slack, PADDED, stop)
 
     def shortened(self, waypoints: Array, stop: NDArray[np.int64]) -> Array | None:
-        """Simplify a path (m, dof) with the native RRT-Connect planner, and return waypoints (k, dof) that
-        are proven collision-free.
+        """Let the native RRT-Connect planner shorten a path (m, dof), and return waypoints (k, dof) that are
+        proven collision-free.
 
         Return None if an edge cannot be proven.
         """

@@ -56,8 +56,8 @@ def robot_state_message(schema: Schema, header: Any, scene: PlanningScene, attac
 
 
 def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
-    """Convert an attached body of the robot state to an AttachedCollisionObject message in the frame of its
-    link.
+    """Convert an attached body in the robot state, as part of a moveit_msgs/RobotState, to an
+    AttachedCollisionObject message in the frame of its link.
     """
     own = schema.new("std_msgs/Header", stamp=header.stamp, frame_id=body.link)
     return schema.new(

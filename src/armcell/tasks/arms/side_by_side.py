@@ -250,8 +250,8 @@ class MotionCoordinator:
         self, ctx: ArmContext, scene: PlanningScene, wanted: JointTrajectory,
         others: Mapping[str, RunningMotion], now: float,
     ) -> bool:  # fmt: skip
-        """Return whether the coordinator may start a motion of one arm while other arms are nearby, either
-        moving or at rest.
+        """Return whether an arm that works side by side with others may start a motion while other arms are
+        nearby, either moving or at rest.
 
         Simulated arms keep their timing and are certified with it. Real arms may be slowed by a slider or a
         pause and move during this check, so each pair of them is certified for any timing.
@@ -280,8 +280,8 @@ class MotionCoordinator:
         return tuple(n for n in others if not self._free(ctx, scene, wanted, {n: others[n]}, now))
 
     def _clearance_now(self, arms: InterArmChecker, scene: PlanningScene) -> float:
-        """Return the clearance that the coordinator requires between the arms. If the arms are already
-        closer, return slightly less than their present distance.
+        """Return the clearance that the coordinator requires between arms side by side. If the arms are
+        already closer, return slightly less than their present distance.
         """
         q = scene.state.reindexed(arms.joint_names).positions
         if arms.find_too_close(q[None], None, self.clearance) < 0:
@@ -318,7 +318,9 @@ class MotionCoordinator:
         return done.ok
 
     def rest(self, ctx: ArmContext) -> None:
-        """Record in the motion coordinator that an arm has come to rest."""
+        """Record in the coordinator of arms that work side by side that one of these arms has come
+        to rest.
+        """
         self.running[ctx.group] = RunningMotion.at_rest(ctx.whole_scene(), ctx.group, ctx.driver.now)
 
     # --- waiting for each other ---
