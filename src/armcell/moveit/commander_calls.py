@@ -15,7 +15,9 @@ SUCCESS, FAILURE, PREEMPTED = 1, 99999, -7  # moveit_msgs/MoveItErrorCodes
 
 
 def measured_scene() -> PlanningScene:
-    """Return the planning scene with the measured robot state for a call of moveit_commander."""
+    """Return the planning scene with the measured robot state, which several calls of
+    moveit_commander need.
+    """
     return current_session().served.cell.scene()
 
 

@@ -144,7 +144,8 @@ class FrankaController:
 
 
 class FrankaRack(Rack[FrankaController]):
-    """Rack of several emulated Franka controllers that run in one thread, each with its own plant.
+    """Several emulated Franka controllers with all their ports, which run in one thread, each with its own
+    plant.
 
     Args:
         groups: planning group of each plant's arm.
@@ -170,7 +171,9 @@ class FrankaRack(Rack[FrankaController]):
 
 
 class EmulatedFranka:
-    """Emulated robot kind `franka`: a Franka controller with an arm in the cell's physics world."""
+    """Factory of the robot kind `franka`: it creates an emulated Franka controller with all its ports for an
+    arm in the cell's physics world.
+    """
 
     physics: Mapping[str, Any] = TORQUE_PHYSICS
 

@@ -256,8 +256,8 @@ def _fixed_hand(model: RobotModel, last: str) -> str | None:
 
 
 def cup_links(model: RobotModel, links: Sequence[str]) -> tuple[str, ...]:
-    """Detect which of the given links are suction cups by their names, or, if none is, which are named like a
-    vacuum gripper.
+    """To detect arms and grippers, return which of the given links are suction cups by their names or, if
+    none is, which are named like a vacuum gripper.
 
     Of links that carry each other, only the outermost ones are in the result.
     """
