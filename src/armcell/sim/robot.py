@@ -359,7 +359,7 @@ def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
 
 
 def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
-    """Return the largest force [N] with which the simulated robot drives its gripper.
+    """Return the largest force [N] of the actuator with which a simulated robot moves its gripper.
 
     An actuator force f presses each finger with f / |width_per_joint|.
     """

@@ -390,7 +390,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def brakes(self, locked: bool) -> None:
-        """Stop the emulated Franka robot and lock its brakes, or unlock them so that it can move."""
+        """Lock or unlock the brakes of the emulated Franka robot, as an operator does in Desk."""
         if locked:
             self._slow_down()
             self._finish(MoveStatus.ABORTED)
@@ -400,9 +400,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def guide(self, on: bool) -> None:
-        """Put the emulated Franka robot into the mode "guiding", in which a person moves it by hand, or back
-        into the mode "idle".
-        """
+        """Press or release the enabling button for guiding the emulated Franka robot by hand."""
         if on and self.mode is RobotMode.IDLE:
             self.mode = RobotMode.GUIDING
         elif not on and self.mode is RobotMode.GUIDING:

@@ -256,8 +256,8 @@ def _fixed_hand(model: RobotModel, last: str) -> str | None:
 
 
 def cup_links(model: RobotModel, links: Sequence[str]) -> tuple[str, ...]:
-    """To detect arms and grippers, return which of the given links are suction cups by their names or, if
-    none is, which are named like a vacuum gripper.
+    """Detect which of the given links are suction cups by their names, or, if none is, which are named like a
+    vacuum gripper.
 
     Of links that carry each other, only the outermost ones are in the result.
     """
@@ -267,8 +267,8 @@ def cup_links(model: RobotModel, links: Sequence[str]) -> tuple[str, ...]:
 
 
 def _suction_hand(model: RobotModel, last: str, cups: Collection[str]) -> str | None:
-    """Return the link at the end of a detected arm that carries suction cups, or None if no link behind the
-    arm is a suction cup by name or in `cups`.
+    """Return the link of a suction gripper that is mounted on a detected arm chain, or None if no link behind
+    the arm is a suction cup by name or in `cups`.
 
     The link is the first link with geometry that carries all cups, or else `last`.
     """
