@@ -26,7 +26,7 @@ from armcell.moveit import Session
 from armcell.moveit.run import shims_installed
 from armcell.planning import plan, warm_up
 from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
-from armcell.ros.moveit_convert.states import trajectory_message
+from armcell.ros.convert import trajectory_message
 from armcell.ros.tcp import ForwardedNames, RosTcpClient, RosTcpServer, ServerSettings
 from armcell.scene import CollisionObject
 from armcell.viewer import PlanningSession

@@ -13,9 +13,9 @@ import numpy as np
 
 from armcell.core import InputError
 from armcell.drivers import Fault
+from armcell.drivers.motion_guard import ArmSample
 from armcell.drivers.real import ArmSettings, NetworkReport, RealArm, RobotKind, check_serial_and_calibration
 from armcell.drivers.real.arm import StreamedExecution
-from armcell.drivers.safety import ArmSample
 
 RUNNING, NORMAL, PROTECTIVE_STOP = 7, 1, 3  # in the numbers of ur_dashboard_msgs
 

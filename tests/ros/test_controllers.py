@@ -12,8 +12,7 @@ from tests.ros.helpers import remote_cell
 from armcell.cell import Controller, load
 from armcell.core import ErrorCode, InputError, JointState, JointTrajectory
 from armcell.ros import ActionClient, ActionOutcome, ActionServer, Bus, GoalState, schema
-from armcell.ros.convert import joint_state_message
-from armcell.ros.moveit_convert import trajectory_message
+from armcell.ros.convert import joint_state_message, trajectory_message
 from armcell.ros.nodes import MoveGroupNode
 from armcell.ros.nodes.external_controllers import select_controllers
 

@@ -13,8 +13,7 @@ from tests.ros.tcp_helpers import wait_for
 from armcell.cell import load
 from armcell.core import SE3, ErrorCode, JointTrajectory
 from armcell.ros import ActionClient, Bus, GoalState, schema
-from armcell.ros.convert import joint_state_message, pose_message
-from armcell.ros.moveit_convert import trajectory_message
+from armcell.ros.convert import joint_state_message, pose_message, trajectory_message
 from armcell.ros.nodes import MoveGroupNode, PickPlaceNode
 from armcell.ros.nodes.scene_node import SceneNode
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outcome
-from armcell.drivers.safety import ArmSample, Fault
+from armcell.drivers.motion_guard import ArmSample
+from armcell.drivers.safety import Fault
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import PhysicsSettings

@@ -146,9 +146,7 @@ class Arm:
         return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
     def pick_moving(self, item: str, settings: ConveyorPickSettings = ConveyorPickSettings()) -> Outcome:
-        """Grasp an object that moves at constant speed, such as on a conveyor,
-        and lift it with an arm of the live cell.
-        """
+        """Let an arm of the live cell pick an object that moves at constant speed, such as on a conveyor."""
         gripper = self._ctx.scene().model.gripper(arm_group=self.group)
         return pick_moving(self._ctx, item, gripper, settings)
 

@@ -108,8 +108,8 @@ def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
 
 
 def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray], Any]:
-    """Return a function that takes a tip pose T_root_tip (4, 4) and runs only the compiled code of an IK
-    solver. The IK benchmark measures this function.
+    """For the IK benchmark, return a function that takes a tip pose T_root_tip (4, 4) and runs only the
+    compiled code of an IK solver.
     """
     from armcell.kinematics.ik.analytic import BRANCHES, ur_branches
     from armcell.kinematics.ik.chain import goal_in_base

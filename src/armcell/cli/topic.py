@@ -157,7 +157,7 @@ def pub(
 
 
 def to_plain_data(value: Any) -> Any:
-    """Convert a message to dicts, lists and numbers, which `armcell topic echo` prints."""
+    """Convert a message for `armcell topic echo` to dicts, lists and numbers, which the command prints."""
     if hasattr(value, "_fields"):
         return {name: to_plain_data(getattr(value, name)) for name in value._fields}
     if isinstance(value, np.ndarray):

@@ -22,9 +22,9 @@ from armcell.collision.coarse_shapes import with_visual_shapes
 from armcell.collision.exact_checker import ExactChecker
 from armcell.collision.kernel.block import EVERY, EXACT, PROVE, STILL, check_block, handle_of, ints, lanes_of
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.kernel.frames import workspace
 from armcell.collision.kernel.pack import GAP_GRID, GAP_TABLE, NEAR, PAIR, PAIRS
 from armcell.collision.kernel.simd import L, pointer
+from armcell.collision.kernel.workspace import workspace
 from armcell.kinematics import KinematicTree, kinematic_tree
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
@@ -188,8 +188,8 @@ def link_pairs(
 def pairs_of_coarse_shapes(
     model: RobotModel, often: Iterable[frozenset[str]], samples: int = 10_000, seed: int = 0
 ) -> set[frozenset[str]]:
-    """Return the link pairs whose collision shapes touch, but whose visual meshes never do. A bounding box
-    around each link of a wrist makes most states of the wrist collide, although its meshes do not touch.
+    """Return the link pairs that are in self-collision only because their collision shapes are coarse: the
+    shapes touch, but the visual meshes of the links never do.
 
     Only neighbors can be among them: with more joints between two links, no sampled state may show that their
     meshes touch.
@@ -226,9 +226,9 @@ def disabled_collision_pairs(
 
 
 def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
-    """Return the pairs of adjacent links, for the self-collision matrix. Two links are adjacent if a joint,
-    or a chain of joints through links without geometry, connects them. The stages of a telescope are adjacent
-    as well, since each slides inside the others.
+    """Return the pairs of adjacent links, for the self-collision matrix: a joint, or a chain of joints
+    through links without geometry, connects them. The stages of a telescope, which slide inside each other,
+    are adjacent as well.
     """
     adjacent, solid_parent = set(), {}
     for joint in model.joints.values():

@@ -115,8 +115,8 @@ class CameraImage:
 @dataclass(frozen=True, eq=False)
 @checked()
 class HeightMap:
-    """Height image (height map): a grid of heights [m] over a rectangle of the world, as a camera sees it
-    from above.
+    """Image whose pixels are heights [m, world z] (height map): a grid over a rectangle of the world, as a
+    camera sees it from above.
 
     Unseen cells have the height of the highest seen neighbor, because hidden objects may be there.
     """
@@ -127,8 +127,8 @@ class HeightMap:
     resolution: float  # [m]
 
     def at(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the centers of given cells (pixels) of a height image as points (n, 3) [m, world frame],
-        each at the height of its cell.
+        """Return the pixels at given indices of an image of heights as points (n, 3) [m, world frame], each
+        at the height of its pixel.
         """
         cells = float_array(cells, (None, 2), "cells").astype(np.int64)
         if ((cells < 0) | (cells >= self.heights.shape)).any():
@@ -139,8 +139,8 @@ class HeightMap:
         return found
 
     def cells_within(self, low: ArrayLike, high: ArrayLike) -> NDArray[np.bool_]:
-        """Return a mask (nx, ny) of the cells (pixels) in a height image whose centers are inside a rectangle
-        [m, world frame].
+        """Return which pixels of an image of heights have their centers inside a rectangle [m, world frame],
+        as a mask (nx, ny).
         """
         low, high = float_array(low, (2,), "low"), float_array(high, (2,), "high")
         nx, ny = self.heights.shape

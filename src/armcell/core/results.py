@@ -76,8 +76,7 @@ class Suggestion:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Explanation in the result of a failed request: the causes of the failure, and the changes that would
-    help.
+    """Part of a failed result that explains the failure: its causes, and the changes that would help.
 
     Attributes:
         summary: one line.

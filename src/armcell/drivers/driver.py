@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.core import SE3, Contact, InputError, JointState, JointTrajectory, Outcome, Playback, Registry
 from armcell.core.checks import checked
 from armcell.drivers.execution_handle import ExecutionHandle
-from armcell.drivers.safety import ExecutionMonitor, Fault, MotionGuard, SafetyEvent
+from armcell.drivers.motion_guard import ExecutionMonitor, MotionGuard
+from armcell.drivers.safety import Fault, SafetyEvent
 from armcell.scene import PlanningScene
 from armcell.sim import SimWorld
 
@@ -283,7 +284,8 @@ class Driver(ABC):
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Let a driver play a trajectory until a time [s], or until the tracking error exceeds the tolerance.
+        """Let the robot driver play part of a trajectory: until a time [s], or until the tracking error
+        exceeds the tolerance.
 
         At least one driver period passes.
 

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome, Playback
 from armcell.drivers.driver import Array, Capability, ContactRecord, Driver, GripperReading, WeldRecord
 from armcell.drivers.execution_handle import ExecutionHandle
-from armcell.drivers.safety import ExecutionMonitor, Fault, MotionGuard, SafetyEvent
+from armcell.drivers.motion_guard import ExecutionMonitor, MotionGuard
+from armcell.drivers.safety import Fault, SafetyEvent
 from armcell.sim import SimWorld
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armcell.core import ErrorCode, JointTrajectory, Outcome, Playback
 from armcell.drivers import Capability, Driver, ExecutionHandle
-from armcell.drivers.safety import ExecutionMonitor
+from armcell.drivers.motion_guard import ExecutionMonitor
 from armcell.execution.settings import ExecutionSettings
 
 Array = NDArray[np.float64]

@@ -124,7 +124,7 @@ def surface_coverage(
 
 def turned_grasp(item: CollisionObject, hand: Hand, grasp: Grasp, name: str, T_object_tcp: SE3,
                  angle: float, pose_error: float = POSE_ERROR) -> Grasp | Rejection:  # fmt: skip
-    """Check a grasp candidate at a TCP pose that is rotated from the candidate's own pose.
+    """Turn a grasp candidate to another TCP pose, and check whether it still holds the object there.
 
     The checks are those of `grasp_candidates`. They may shift the pose, for example to center the hand. If
     the pads touch the object only at slanted surfaces, closing jaws turn the object until it is as narrow as

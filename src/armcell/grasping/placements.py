@@ -226,7 +226,7 @@ def _slope(frame: SE3) -> Array:
 
 
 def _stands_to(item: CollisionObject, side: StablePose, frame: SE3) -> float:
-    """Return the largest tilt [rad] of a support surface at which a placed object does not tip over.
+    """Return how far [rad] the support surface of a placement may tilt before the placed object tips over.
 
     The surface tilts in its present tilt direction.
     """
@@ -235,8 +235,8 @@ def _stands_to(item: CollisionObject, side: StablePose, frame: SE3) -> float:
 
 
 def _tilt_held(item: CollisionObject, side: StablePose, turned: Array, frame: SE3) -> float:
-    """Return the largest tilt [rad] of a surface at which an object
-    placed with a given rotation does not tip over.
+    """Return how far [rad] the support surface of a placement may tilt before an object that is placed with a
+    given rotation tips over.
 
     Args:
         turned: (3, 3) rotation of the object in the surface's frame.

@@ -149,8 +149,8 @@ def approach_depth(item: CollisionObject, hand: Hand, grasp: Grasp, T_object_tcp
 def robustness(
     item: CollisionObject, hand: Hand, grasp: Grasp, noise: Noise = Noise(), trials: int = 40, seed: int = 0
 ) -> float:
-    """Return the fraction (0 to 1) of random trials in which a grasp holds its object. Each trial varies the
-    object's pose, friction and mass.
+    """Return the quality of a grasp as its robustness: the fraction (0 to 1) of random trials, with varied
+    pose, friction and mass of the object, in which it holds.
 
     A trial counts if the hand fits, the pads oppose each other within friction, and the force holds the
     weight.

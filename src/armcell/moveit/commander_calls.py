@@ -15,7 +15,9 @@ SUCCESS, FAILURE, PREEMPTED = 1, 99999, -7  # moveit_msgs/MoveItErrorCodes
 
 
 def measured_scene() -> PlanningScene:
-    """Return the planning scene with the measured robot state for a call of moveit_commander."""
+    """Return the planning scene with the measured robot state, which several calls of
+    moveit_commander need.
+    """
     return current_session().served.cell.scene()
 
 
@@ -53,7 +55,8 @@ def wait_for_result(session: Session, sent: ClientGoalHandle) -> Any:
 
 
 def joint_constraints(session: Session, values: dict[str, float], tolerance: float) -> Any:
-    """Return the goal constraints that a moveit_commander call sends for given joint positions.
+    """Create the goal constraints for given joint positions that any call of moveit_commander's classes
+    sends.
 
     Args:
         values: joint name -> position [rad or m].
@@ -69,7 +72,7 @@ def joint_constraints(session: Session, values: dict[str, float], tolerance: flo
 def pose_constraints(
     session: Session, link: str, target: Any, position: float | None, orientation: float | None
 ) -> Any:
-    """Return the goal constraints that a moveit_commander call sends for the pose of a link.
+    """Create the goal constraints for the pose of a link that any call of moveit_commander's classes sends.
 
     Args:
         target: a PoseStamped.

@@ -18,6 +18,7 @@ from armcell.perception.colors import color_distance, color_name
 from armcell.perception.draw import draw_detections
 from armcell.perception.hand_eye import HandEye, calibrate_hand_eye
 from armcell.perception.height_maps import height_map, label_pieces
+from armcell.perception.image_checks import check_image
 from armcell.perception.known_object_pose import closest_equivalent, pose_error
 from armcell.perception.markers import (
     FAMILIES,
@@ -30,7 +31,6 @@ from armcell.perception.markers import (
 from armcell.perception.object_detection import (
     DetectedObject,
     DetectionResult,
-    check_image,
     look,
 )
 from armcell.perception.occupancy_maps import (

@@ -1,4 +1,4 @@
-"""Depth images as organized point clouds: image checks, conversion, clusters and the support plane.
+"""Depth images as organized point clouds: conversion, clusters and the support plane.
 
 An organized cloud has one point per pixel. The support plane, on which objects rest, is found by
 Fischler and Bolles, "Random sample consensus", Communications of the ACM 24(6), 1981; then least
@@ -13,54 +13,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core import SE3, SO3, CameraImage, ErrorCode, InputError, Outcome, Pinhole
+from armcell.core import SE3, SO3, InputError, Pinhole
 from armcell.core.checks import float_array, is_number, require
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 MAX_TRIALS = 100_000
 _SUBSET = 1500  # number of points with which trials are evaluated
-
-
-def check_image_age(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if a camera image is older than `max_age` [s] and must not be used.
-    Otherwise return None.
-    """
-    if now is None or now - image.time <= max_age:
-        return None
-    age = now - image.time
-    return Outcome(
-        ErrorCode.SENSOR_INFO_STALE,
-        f"camera {image.camera!r}: the newest picture is {age:.2f} s old, more than {max_age:g} s "
-        "(is the camera frozen? restart it, or raise max_age)",
-        {"age_s": age},
-    )
-
-
-def check_image(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if a camera image is too old, or gives no point cloud because it has no depth.
-    Otherwise return None.
-    """
-    old = check_image_age(image, max_age, now)
-    if old is not None:
-        return old
-    name = f"camera {image.camera!r}"
-    if image.depth is None:
-        return Outcome(
-            ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA,
-            f"{name} has no depth (use an RGB-D camera: 'depth: true' in the cell file)",
-        )
-    with np.errstate(invalid="ignore"):
-        share = float(np.mean(np.isfinite(image.depth) & (image.depth > 0)))
-    if share < 0.01:
-        what = "no pixel" if share == 0 else f"only {share:.1%} of the pixels"
-        return Outcome(
-            ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA,
-            f"{name}: {what} has a depth (is the lens covered, or everything nearer or farther than it "
-            "measures?)",
-            {"share": share},
-        )
-    return None
 
 
 def meters(depth: ArrayLike) -> F32:

@@ -148,8 +148,8 @@ def is_primitive(shapes: tuple[tuple[Shape, SE3], ...]) -> bool:
 def rough_mesh_match(
     e: DepthEvidence, points: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], span: float
 ) -> Match | None:
-    """Estimate a rough pose of a known object that is a mesh, from coarse evidence. The result is None if the
-    object's size does not match.
+    """Estimate a rough pose of a known object whose shape is a mesh, from coarse evidence. The result is None
+    if the object's size does not match.
 
     Args:
         span: [m] largest extent of the cluster.
@@ -163,8 +163,8 @@ def rough_mesh_match(
 
 
 def match_mesh(e: DepthEvidence, shapes: tuple[tuple[Shape, SE3], ...], start: Match, prior: SE3) -> Match:
-    """Refine the pose of a known object that is a mesh, and find the other poses that explain the images
-    about as well.
+    """Refine the rough pose of a known object whose shape is a mesh, and find the object's other poses that
+    explain the images about as well.
 
     Args:
         prior: pose in the frame of the support; of equal poses of a symmetric mesh, the nearest one is

@@ -19,7 +19,7 @@ from armcell.core import (
     Outcome,
     UnknownNameError,
 )
-from armcell.perception.cloud import check_image_age
+from armcell.perception.image_checks import check_image_age
 
 F64 = NDArray[np.float64]
 

@@ -24,9 +24,10 @@ from armcell.core import (
     Shape,
     UnknownNameError,
 )
-from armcell.perception.cloud import SupportPlane, check_image
+from armcell.perception.cloud import SupportPlane
 from armcell.perception.colors import color_distance
 from armcell.perception.depth_render import OWN, DepthEvidence, cut_out, joined
+from armcell.perception.image_checks import check_image
 from armcell.perception.known_object_pose import (
     Match,
     closest_equivalent,

@@ -19,7 +19,8 @@ from armcell.collision import object_mask, robot_mask
 from armcell.core import SE3, CameraImage, ErrorCode, InputError, Outcome, UnknownNameError
 from armcell.core.checks import checked, settings_from
 from armcell.model.untrusted_files import read_yaml
-from armcell.perception.cloud import check_image, organized_cloud
+from armcell.perception.cloud import organized_cloud
+from armcell.perception.image_checks import check_image
 from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, SensorModel, with_octomap
 
 RESOLUTION = 0.05  # [m] default of the file's value

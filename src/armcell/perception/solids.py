@@ -220,7 +220,7 @@ def part_distance(solid, part, x, y, z):
 
 @njit(cache=True)
 def _interpolated(grid, origin, step, x, y, z):
-    """Interpolate the signed distance [m] at a point in the distance grid of a solid.
+    """Return the signed distance [m] from a point to a solid, interpolated in the solid's distance grid.
 
     Beyond the grid, the distance to the grid's edge is added.
     """

@@ -96,8 +96,8 @@ def prepare_group(scene: PlanningScene, group: str) -> None:
 
 @lru_cache(maxsize=64)
 def warm_up_ik(model: RobotModel, group: str, link: str | None = None) -> None:
-    """Compile the inverse kinematics of a kinematic chain before its first use (warm-up), so that the first
-    query is fast.
+    """Warm up the inverse kinematics of a kinematic chain: compile its kernels, so that the first query is
+    fast.
 
     Arms with a closed-form solution use other kernels.
     """

@@ -52,8 +52,8 @@ class Workspace:
         return float(np.linalg.norm(np.maximum(np.maximum(self.low - at, at - self.high), 0.0)))
 
     def describe(self, q: ArrayLike) -> str:
-        """Describe where the tip is, at positions q (n,), relative to the workspace box of a planning
-        request.
+        """Describe how far the tip is outside the workspace that a planning request allows, at joint
+        positions q (n,).
         """
         low, high, at = (
             ", ".join(f"{v:.3g}" for v in p) for p in (self.low, self.high, self.tip.pose(q).translation)

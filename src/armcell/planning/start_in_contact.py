@@ -26,7 +26,7 @@ from armcell.collision.resting_contact import (
 from armcell.core import Contact, ErrorCode, Outcome
 from armcell.planning.constraints.manifold import ConstraintManifold
 from armcell.planning.constraints.plan import warm_up_constraints
-from armcell.planning.constraints.visibility import make_manifold
+from armcell.planning.constraints.visibility_manifold import make_manifold
 from armcell.planning.moved_frame import with_joint_positions
 from armcell.planning.planners.registry import PILZ, normalized_pipeline_id
 from armcell.planning.request import ValidatedRequest

@@ -245,3 +245,49 @@ def _rows(points: Sequence[Any], field: str, n: int) -> np.ndarray | None:
         if not np.all(np.isfinite(row)):
             raise InputError(f"point {i}: {field} has a value that is not finite")
     return np.array(rows)
+
+
+def joint_state_from_message(message: Any, model: RobotModel) -> JointState | None:
+    """Convert a sensor_msgs/JointState message to a joint state of armcell, without the mimic joints.
+
+    Returns:
+        The joint state, or None if the message names no actuated joint.
+    Raises:
+        UnknownNameError: a joint does not exist.
+        InputError: a joint is repeated, the number of positions differs from the number of names, or a value
+            is not finite.
+    """
+    names, values = list(message.name), [float(v) for v in message.position]
+    if len(names) != len(values):
+        raise InputError(f"a joint state has {len(names)} names and {len(values)} positions")
+    found: dict[str, float] = {}
+    for name, value in zip(names, values):
+        if name not in model.joints:
+            raise UnknownNameError("joint", name, model.joints)
+        if name in found:
+            raise InputError(f"joint {name!r} is named twice")
+        if model.joints[name].actuated:
+            found[name] = value
+    return JointState.from_mapping(found) if found else None
+
+
+def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory) -> Any:
+    """Convert a trajectory of armcell to a trajectory_msgs/JointTrajectory message.
+
+    Velocities and accelerations are included if the trajectory has them.
+    """
+    Point = schema.message("trajectory_msgs/JointTrajectoryPoint")
+    duration = schema.message("builtin_interfaces/Duration")
+    empty = np.zeros(0)
+    v, a = trajectory.velocities, trajectory.accelerations
+    points = [
+        Point(
+            trajectory.positions[i],
+            empty if v is None else v[i],
+            empty if a is None else a[i],
+            empty,
+            duration.from_sec(float(t)),
+        )
+        for i, t in enumerate(trajectory.times)
+    ]
+    return schema.new("trajectory_msgs/JointTrajectory", header, list(trajectory.joint_names), points)

@@ -74,7 +74,7 @@ def rosbags_name(name: str) -> str:
 
 
 def field_parts(node: Any) -> tuple[bool, str, int | None]:
-    """Split the type of a field in a ROS message definition, as parsed by rosbags, into its parts.
+    """Split the type of a field in a parsed `.msg` definition into its parts.
 
     Returns:
         Tuple (is a message, base type or `pkg/Name`, array length). The length is None for a field that is

@@ -78,8 +78,8 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 class TimeMessage:
-    """Base class of the time and duration messages in a ROS schema, which converts between their fields and
-    seconds.
+    """Base class of the schema's time and duration messages, which converts between their fields
+    and seconds.
     """
 
     __slots__ = ()
@@ -94,7 +94,8 @@ class TimeMessage:
 
     @classmethod
     def from_sec(cls, seconds: float) -> Any:
-        """Create a time or duration message of a ROS schema from seconds, rounded to the nearest nanosecond.
+        """Create a message of the schema's time or duration class from seconds, rounded to the nearest
+        nanosecond.
 
         `nanosec` is in the range 0 to 999999999.
         """
@@ -158,8 +159,8 @@ def _several(make: Callable[[], Any], count: int) -> list[Any]:
 
 
 class ArrayConverter:
-    """Converter that turns the lists in a ROS message into arrays of the types that the message schema
-    defines.
+    """Converter that the message schema provides for one message class: it turns the lists in a message into
+    arrays of the types that the schema defines.
 
     The original message does not change, and valid fields are not copied.
     """
@@ -332,7 +333,7 @@ class Schema:
         return self.message(name)(*values, **fields)
 
     def service(self, name: str) -> tuple[type[Message], type[Message]]:
-        """Return the request and response message classes of a ROS service type.
+        """Return the message classes for the request and the response of a service type in the schema.
 
         Raises:
             UnknownNameError: the service type does not exist.

@@ -15,12 +15,13 @@ from armcell.sim.camera import Camera, DepthNoise, look_at
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, UnwantedContact
 from armcell.sim.decals import Decal
 from armcell.sim.grasp_trials import GraspTrial, TrialResult, TrialSettings, run_trials
-from armcell.sim.gripper_servos import GripperState, WeldEvent
+from armcell.sim.gripper_servos import GripperState
 from armcell.sim.mujoco_model import BuiltModel, GripperIndex, build
 from armcell.sim.pace import Pacer
 from armcell.sim.render import has_gl, render_depth, render_rgb, take_image
 from armcell.sim.servo import JointTargets
 from armcell.sim.settings import PhysicsSettings
+from armcell.sim.welds import WeldEvent
 from armcell.sim.world import SimWorld, WorldSnapshot
 
 __all__ = [

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import InputError
+from armcell.core import SE3, SO3, InputError
 from armcell.model import Gripper, RobotModel, SuctionGripper
 from armcell.model.composition import finger_parts
 from armcell.model.mjcf.spec import UNSAVED, log_mujoco_warnings
@@ -342,3 +342,19 @@ def _add_look(spec: mujoco.MjSpec) -> None:
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=False,
     )  # fmt: skip
     spec.worldbody.add_camera(name=RENDER_CAMERA)
+
+
+def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
+    """Return the pose T_a_b between two bodies of a MuJoCo model, such as a gripper and its held object,
+    after the last physics step.
+
+    Both poses come from the same instant.
+    """
+    return body_pose(data, body_a).inverse() @ body_pose(data, body_b)
+
+
+def body_pose(data: mujoco.MjData, body: int) -> SE3:
+    """Return the pose T_world_body of a body in a MuJoCo model, such as a gripper's tcp, after the last
+    physics step.
+    """
+    return SE3(SO3(data.xmat[body].reshape(3, 3).copy()), data.xpos[body].copy())

@@ -15,8 +15,7 @@ from armcell.scene import WORLD
 from armcell.sim.camera import Camera
 from armcell.sim.decals import geom_name
 from armcell.sim.gl import GLRenderer, gl_backend
-from armcell.sim.gripper_servos import body_pose
-from armcell.sim.mujoco_model import RENDER_CAMERA, BuiltModel, build
+from armcell.sim.mujoco_model import RENDER_CAMERA, BuiltModel, body_pose, build
 from armcell.sim.objects import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP
 from armcell.sim.world import SimWorld
 

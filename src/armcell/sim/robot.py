@@ -179,8 +179,8 @@ def _add_joint(
 
 
 def _massless_carriers(model: RobotModel) -> set[str]:
-    """Return the links of a simulated robot that move but have no mass: the child links of movable joints for
-    which neither the link nor any link fixed to it has a mass.
+    """Return the links of the simulated robot that move without any mass: the child links of movable joints
+    for which neither the link nor any link fixed to it has a mass.
 
     MuJoCo rejects moving bodies without mass.
     """
@@ -345,8 +345,8 @@ def _hand_joints(model: RobotModel, gripper: Gripper) -> list[str]:
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """Return the finger joints of a simulated robot's gripper with their weights in the mean finger position:
-    the driven joint, and the joints that mimic it with zero offset.
+    """Return the finger joints of the simulated robot with their weights in the mean finger position: the
+    driven joint of the gripper, and the joints that mimic it with zero offset.
 
     The weighted sum of their positions is the mean finger position. Equalities move the other joints.
     """
@@ -371,8 +371,8 @@ def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
 
 
 def servo_gains(gripper: Gripper, settings: PhysicsSettings) -> tuple[float, float]:
-    """Return the gains kp and kv of the actuator with which a simulated robot moves its gripper. The units
-    are N/m and N s/m for a sliding driven joint, Nm/rad and Nm s/rad for a turning driven joint.
+    """Return the gains kp and kv with which the simulated robot drives its gripper: [N/m] and [N s/m] for a
+    sliding driven joint, [Nm/rad] and [Nm s/rad] for a turning one.
 
     The settings are those of sliding fingers; a turning joint gets the gains with the same effect there.
     """

@@ -12,11 +12,12 @@ from armcell.core import ArmcellError
 from armcell.sim.compiled_stepper import compiled_steps
 from armcell.sim.contacts import ContactMonitor
 from armcell.sim.friction import HeldObjectCorrection, SlidingFriction
-from armcell.sim.gripper_servos import Fingers, Welder
+from armcell.sim.gripper_servos import Fingers
 from armcell.sim.mujoco_model import BuiltModel
 from armcell.sim.servo import ArmServo, Controls
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.suction import Suction
+from armcell.sim.welds import Welder
 
 Array = NDArray[np.float64]
 
@@ -124,7 +125,7 @@ class Stepper:
         return before
 
     def _draw_vacuum(self, data: mujoco.MjData) -> None:
-        """Let the stepper set the vacuum forces of all suction cups for the next physics step."""
+        """Let the stepper set the vacuum forces of all suction cups before it takes the next physics step."""
         count = min(data.ncon, self.monitor.readable)
         self.suction.update(count, self.monitor.pairs, self._owner, data.ctrl)
 

@@ -22,13 +22,14 @@ from armcell.scene import PlanningScene
 from armcell.sim.camera import Camera
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, hand_wrench, read_contacts
 from armcell.sim.decals import Decal
-from armcell.sim.gripper_servos import GripperState, WeldEvent, body_pose, gripper_state, relative_pose
+from armcell.sim.gripper_servos import GripperState, gripper_state
 from armcell.sim.model_pool import lease_model
-from armcell.sim.mujoco_model import BuiltModel, same_build, scene_objects
+from armcell.sim.mujoco_model import BuiltModel, body_pose, relative_pose, same_build, scene_objects
 from armcell.sim.objects import Array, FixedBodyPoses, Poses, write_free
 from armcell.sim.servo import JointTargets
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.stepper import Stepper
+from armcell.sim.welds import WeldEvent
 
 log = logging.getLogger(__name__)
 

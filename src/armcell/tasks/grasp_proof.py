@@ -43,8 +43,8 @@ class GraspProof:
 
     @property
     def probability(self) -> float:
-        """Return the estimated probability that a grasp succeeds, from its simulated trials.
-        It is strictly between 0 and 1.
+        """Return the probability that a grasp succeeds, as estimated by its proof in simulated trials. It is
+        strictly between 0 and 1.
 
         The estimate is a mean with a prior that counts as `PRIOR_TRIALS` trials.
         """
@@ -52,7 +52,9 @@ class GraspProof:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Return the 95 % Wilson interval for the success rate of a grasp in its simulated trials."""
+        """Return the 95 % Wilson interval for the success rate of a grasp in the simulated trials of its
+        proof.
+        """
         return wilson(self.successes, self.trials)
 
 
@@ -127,8 +129,8 @@ def _noisy(item: CollisionObject, grasp: Grasp, count: int, noise: Noise, seed: 
 def sample_object_variants(
     item: CollisionObject, count: int, rng: np.random.Generator, noise: Noise = NOISE
 ) -> list[CollisionObject]:
-    """Sample variants of an object for the trials that prove its grasps:
-    the pose, the friction and the mass vary.
+    """Sample the variants of an object with which its grasps are proven in simulated trials: the pose, the
+    friction and the mass vary.
 
     The pose varies along the support and about the vertical. The first variant is the nominal object.
     """
@@ -142,8 +144,8 @@ def sample_object_variants(
 
 
 def distinct_grasps(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
-    """Select the best grasps that differ clearly from each other, as candidates for trials in the physics
-    simulation. If there are too few, add the next best grasps.
+    """Select grasps to be proven in simulation: the best ones that differ clearly from each other. If there
+    are too few, add the next best grasps.
     """
     chosen: list[Grasp] = []
     rest: list[Grasp] = []

@@ -169,8 +169,8 @@ def _one_would_do(outcome: Outcome) -> bool:
 def _straight(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None, up: Vector | None
 ) -> Outcome:
-    """Transfer an object to its goal with one grasp, without an intermediate placement and without recovery
-    from failures.
+    """Attempt to transfer an object to its goal directly, with one grasp and no intermediate placement. If
+    the attempt fails, recovery follows.
 
     Only grasps with which the arm can also place the object at the goal are tried. If a hand already holds
     the object, the function only places it. The caller recovers from failures.

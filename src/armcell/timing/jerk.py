@@ -187,7 +187,8 @@ def jerk_limited(
     jerk: ArrayLike,
     settings: TimingSettings = TimingSettings(),
 ) -> JointTrajectory:
-    """Return a trajectory that follows a path exactly, within the limits of velocity, acceleration and jerk.
+    """Return a jerk-limited trajectory that follows a path exactly. It keeps the limits of velocity,
+    acceleration and jerk.
 
     The path must have smooth corners. The trajectory has points at the changes of the path jerk and, between
     them, every `settings.sample_time`.

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
 from armcell.drivers.execution_handle import ExecutionHandle, SetpointHistory
-from armcell.drivers.safety import Fault, GuardedArm
+from armcell.drivers.motion_guard import GuardedArm
+from armcell.drivers.safety import Fault
 from armcell.twin.dry_run import DryRun, TwinSimulation
 from armcell.twin.residual_thresholds import (
     LASTING,

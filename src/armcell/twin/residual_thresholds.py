@@ -143,8 +143,8 @@ class ArmResidualThresholds:
         return found
 
     def _of_currents(self, looks: Sequence[Array], doubt: Array) -> dict[str, Array]:
-        """Return the residuals of a real arm's motor currents and load relative to its simulated twin,
-        divided by their thresholds. Residuals without enough samples are omitted.
+        """Divide the residuals of a real arm's motor currents and load by their residual thresholds, and
+        return the quotients. Residuals without enough samples are omitted.
 
         Args:
             looks: recent samples (2, n) of current residual [A] and current per kilogram [A/kg].

@@ -29,7 +29,9 @@ STEP = 0.1  # [deg or mm]
 
 
 class StatesTab:
-    """Joint sliders of the "States" tab, which set the goal or the start state in degrees and millimeters."""
+    """The tab "States" beside the "Plan" tab, with joint sliders that set the goal or the start state in
+    degrees and millimeters.
+    """
 
     def __init__(self, gui: GuiApi, session: PlanningSession, callbacks: Callbacks):
         self._gui, self._session, self._on = gui, session, callbacks.wrap
@@ -63,8 +65,8 @@ class StatesTab:
         self._session.set_positions(JointState((name,), np.array([value])), self.is_start)
 
     def _unit(self, name: str) -> tuple[str, float]:
-        """Return the unit in which the "States" tab shows a joint,
-        and the factor for converting radians or meters to that unit.
+        """Return the unit in which the tab "States" beside the "Plan" tab shows a joint, and the factor for
+        converting radians or meters to that unit.
         """
         slides = self._session.scene.model.joint(name).type == "prismatic"
         return ("mm", 1000.0) if slides else ("deg", 180.0 / np.pi)
@@ -260,8 +262,8 @@ class PlanTab:
         return paragraph("SUCCESS", COLORS["free"], bold=True) + paragraph(numbers) + paragraph(more)
 
     def _show_explanation(self, explanation: Explanation | None) -> None:
-        """Show a button in the "Plan" tab for each change that could make a failed plan succeed. A click
-        applies the change and plans again.
+        """Offer each suggested change of a failed plan as a button in the "Plan" tab. A click applies the
+        change and plans again.
         """
         if explanation is self._shown:
             return

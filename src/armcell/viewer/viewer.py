@@ -146,7 +146,7 @@ class CellViewer:
         return self.page.port
 
     def open(self) -> None:
-        """Start serving the page of the cell viewer to browsers."""
+        """Open the cell viewer: from now on, its page is served to browsers."""
         self.page.open()
 
     @property

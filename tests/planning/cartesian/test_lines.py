@@ -26,7 +26,7 @@ from armcell.core import (
 )
 from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.planning import constraint_errors, plan, plan_cartesian, waypoints_by_offsets
-from armcell.planning.diagnosis.diagnosis import replace_by_free_motion
+from armcell.planning.diagnosis.changes import replace_by_free_motion
 
 ARM = tuple(f"panda_joint{k}" for k in range(1, 8))
 

@@ -27,7 +27,7 @@ from armcell.core import (
 )
 from armcell.kinematics import kinematic_tree
 from armcell.planning import constraint_errors, plan, plan_cartesian, satisfies_constraints
-from armcell.planning.constraints.evaluation import visibility
+from armcell.planning.constraints.visibility import visibility
 
 FACING = SO3.from_rpy((np.pi, 0.0, 0.0))  # of a disc before a sensor: its z looks back at it
 

@@ -33,9 +33,10 @@ from armcell.core import (
 )
 from armcell.planning import explain, explain_start, plan, plan_cartesian, solve_ik
 from armcell.planning.diagnosis import solutions_beyond_limits
+from armcell.planning.diagnosis.changes import change_request
 from armcell.planning.diagnosis.constraints import diagnose_path_constraints
 from armcell.planning.diagnosis.contacts import least_freeing_shift
-from armcell.planning.diagnosis.diagnosis import Diagnosis, change_request
+from armcell.planning.diagnosis.diagnosis import Diagnosis
 from armcell.planning.diagnosis.nearest_free import nearest_free
 
 pytestmark = pytest.mark.slow

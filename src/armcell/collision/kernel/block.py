@@ -18,29 +18,7 @@ from numba import cfunc, njit, types
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.exact_checks import queue_exact_test, run_exact_tests
-from armcell.collision.kernel.frames import (
-    ALIVE,
-    EXACT,
-    FIRST,
-    NOW,
-    PADDED,
-    PROVE,
-    STILL,
-    TOUCHING,
-    WAITING,
-    body_margin_at,
-    center,
-    center_at,
-    fk_block,
-    interval_half_width_at,
-    motion_margin,
-    rate_at,
-    record_collision,
-    record_contact,
-    required_distance_at,
-    twist_block,
-    velocity_at,
-)
+from armcell.collision.kernel.frames import center, fk_block, motion_margin, twist_block
 from armcell.collision.kernel.pack import (
     BODIES,
     BODY_SPHERE,
@@ -74,6 +52,25 @@ from armcell.collision.kernel.simd import (
     store,
     vabs,
     vsqrt,
+)
+from armcell.collision.kernel.workspace import (
+    ALIVE,
+    EXACT,
+    FIRST,
+    NOW,
+    PADDED,
+    PROVE,
+    STILL,
+    TOUCHING,
+    WAITING,
+    body_margin_at,
+    center_at,
+    interval_half_width_at,
+    rate_at,
+    record_collision,
+    record_contact,
+    required_distance_at,
+    velocity_at,
 )
 from armcell.collision.kernel.world_collision import world_block
 

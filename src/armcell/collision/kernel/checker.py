@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.collision.certify import Certificate
 from armcell.collision.exact_checker import ExactChecker
 from armcell.collision.kernel.block import EXACT, PADDED, handle_of, touches
-from armcell.collision.kernel.frames import workspace
 from armcell.collision.kernel.lru_cache import LruCache
 from armcell.collision.kernel.motion import check_edge, prove_points, proven_clearance
 from armcell.collision.kernel.pack import PAIR_MARGIN, Flat, Names, Pack, flatten, pack
 from armcell.collision.kernel.robot_arrays import robot_part
+from armcell.collision.kernel.workspace import workspace
 from armcell.collision.kernel.world_arrays import world_of
 from armcell.core.checks import float_array, require
 from armcell.scene import PlanningScene

@@ -15,24 +15,7 @@ import numpy as np
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.box_tree import boxes_hit, rotate_to_shape_frame, to_shape_frame
-from armcell.collision.kernel.frames import (
-    ALIVE,
-    EXACT,
-    LISTED,
-    MAX_LISTED,
-    MAX_STACK,
-    PLACED,
-    PROVE,
-    STACK,
-    ball_at,
-    center,
-    interval_half_width_at,
-    local_at,
-    record_collision,
-    record_contact,
-    required_distance_at,
-    velocity_at,
-)
+from armcell.collision.kernel.frames import center
 from armcell.collision.kernel.pack import (
     BODIES,
     BODY_GROUPS,
@@ -64,6 +47,23 @@ from armcell.collision.kernel.simd import (
     vmax,
     vmin,
     vsqrt,
+)
+from armcell.collision.kernel.workspace import (
+    ALIVE,
+    EXACT,
+    LISTED,
+    MAX_LISTED,
+    MAX_STACK,
+    PLACED,
+    PROVE,
+    STACK,
+    ball_at,
+    interval_half_width_at,
+    local_at,
+    record_collision,
+    record_contact,
+    required_distance_at,
+    velocity_at,
 )
 
 NO_GROUP = np.int64(-1)

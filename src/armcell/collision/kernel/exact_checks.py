@@ -13,30 +13,7 @@ import numpy as np
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.cloud import encloses, next_parts
-from armcell.collision.kernel.frames import (
-    ALIVE,
-    AT_A,
-    AT_B,
-    AT_RELATIVE,
-    CONTACT,
-    ENTRIES,
-    FREE,
-    LISTED,
-    MAX_WAITING,
-    PADDED,
-    PROVE,
-    UNPROVEN,
-    WAITING,
-    center_at,
-    frame_at,
-    interval_half_width_at,
-    motion_margin,
-    record_collision,
-    record_contact,
-    required_distance_at,
-    twist_at,
-    velocity_at,
-)
+from armcell.collision.kernel.frames import motion_margin
 from armcell.collision.kernel.pack import (
     BODY_GROUPS,
     BODY_PIECES,
@@ -64,6 +41,28 @@ from armcell.collision.kernel.pack import (
     SHAPE_SIZE,
 )
 from armcell.collision.kernel.simd import L, fma, load, splat, store, trailing_zeros, vsqrt
+from armcell.collision.kernel.workspace import (
+    ALIVE,
+    AT_A,
+    AT_B,
+    AT_RELATIVE,
+    ENTRIES,
+    LISTED,
+    MAX_WAITING,
+    PADDED,
+    PROVE,
+    WAITING,
+    center_at,
+    frame_at,
+    interval_half_width_at,
+    record_collision,
+    record_contact,
+    required_distance_at,
+    twist_at,
+    velocity_at,
+)
+
+FREE, UNPROVEN, CONTACT = 0, 1, 2
 
 INSIDE = np.int64(1) << 40
 """Added to the index of a queued world shape: test whether a body is inside its closed mesh."""

@@ -22,9 +22,9 @@ from armcell.collision.kernel.block import (
     ints,
     lanes_of,
 )
-from armcell.collision.kernel.frames import TOUCHING, interval_half_width_at, rate_at
 from armcell.collision.kernel.pack import BODIES, DOF, PAIR_REACH, PAIRS, REACH
 from armcell.collision.kernel.simd import L, at_address, fma, iota, pointer, splat, store
+from armcell.collision.kernel.workspace import TOUCHING, interval_half_width_at, rate_at
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.

@@ -376,8 +376,9 @@ class _Builder:
         return _PairGaps(gaps, (columns[0], columns[-1]), gap_tables.grid(ranges, gaps.shape))
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
-        """Return upper bounds (groups, columns) on how far [m] each sphere group of a robot body moves per
-        unit [rad or m] of each joint variable. Each column belongs to one joint variable.
+        """Return, for the robot's kernel arrays, upper bounds (groups, columns) on how far [m] each sphere
+        group of a body moves per unit [rad or m] of each joint variable. Each column belongs to one joint
+        variable.
 
         The bounds are like those of `_reach`.
 

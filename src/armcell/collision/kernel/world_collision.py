@@ -11,22 +11,7 @@ from armcell.collision.kernel import gjk
 from armcell.collision.kernel.box_tree import boxes_hit, rotate_to_shape_frame, to_shape_frame
 from armcell.collision.kernel.cloud import DONE, body_to_cloud
 from armcell.collision.kernel.exact_checks import INSIDE, queue_exact_test
-from armcell.collision.kernel.frames import (
-    ALIVE,
-    EXACT,
-    MAX_STACK,
-    PADDED,
-    PROVE,
-    STACK,
-    body_margin_at,
-    center,
-    center_at,
-    interval_half_width_at,
-    motion_margin,
-    record_collision,
-    record_contact,
-    velocity_at,
-)
+from armcell.collision.kernel.frames import center, motion_margin
 from armcell.collision.kernel.pack import (
     BODIES,
     BODY_GROUPS,
@@ -67,6 +52,20 @@ from armcell.collision.kernel.simd import (
     vmax,
     vmin,
     vsqrt,
+)
+from armcell.collision.kernel.workspace import (
+    ALIVE,
+    EXACT,
+    MAX_STACK,
+    PADDED,
+    PROVE,
+    STACK,
+    body_margin_at,
+    center_at,
+    interval_half_width_at,
+    record_collision,
+    record_contact,
+    velocity_at,
 )
 
 

@@ -17,8 +17,9 @@ from armcell.drivers.franka.settings import FrankaArmSettings, FrankaLimits, lim
 from armcell.drivers.franka.wire.commands import REQUESTS, Command, RecoveryStatus
 from armcell.drivers.franka.wire.state import GeneratorMode, RobotMode, RobotState
 from armcell.drivers.franka.worker_connection import WorkerConnection
+from armcell.drivers.motion_guard import ArmSample
 from armcell.drivers.real import RealArm, RealGripper, RealSettings
-from armcell.drivers.safety import ArmSample, Fault
+from armcell.drivers.safety import Fault
 from armcell.model import Gripper
 
 Array = NDArray[np.float64]

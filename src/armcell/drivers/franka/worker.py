@@ -73,7 +73,7 @@ class Worker:
         link.setblocking(True)
 
     def run(self) -> None:
-        """Execute the commands that armcell sends to the Franka worker until armcell closes the connection.
+        """Run the worker of a Franka arm: execute the orders of armcell until armcell closes the connection.
         Then stop the arm.
         """
         sockets = [self._client.udp, self._client.tcp, self._link]

@@ -38,8 +38,8 @@ def take_message(received: bytearray) -> tuple[int, bytes] | None:
 
 
 def read_into(sock: socket.socket, received: bytearray) -> bool:
-    """Append the bytes that arrive at a socket between the Franka driver and its worker to a buffer of
-    messages. Return False if the socket is closed.
+    """Read the bytes of messages between the Franka driver and its worker from a socket into a buffer. Return
+    False if the socket is closed.
     """
     try:
         data = sock.recv(1 << 18)

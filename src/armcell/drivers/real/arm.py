@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, JointTrajectory
 from armcell.drivers.execution_handle import CANCELLED, DONE, RUNNING, ExecutionHandle, SetpointHistory
+from armcell.drivers.motion_guard import ArmSample
 from armcell.drivers.real.identity import RobotIdentity
-from armcell.drivers.safety import ArmSample, Fault
+from armcell.drivers.safety import Fault
 from armcell.model import Gripper
 
 Array = NDArray[np.float64]

@@ -16,11 +16,12 @@ from armcell import _interrupts
 from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
 from armcell.drivers.driver import Capability, Driver, DriverOptions, GripperReading, drivers
 from armcell.drivers.execution_handle import ExecutionHandle, SetpointHistory
+from armcell.drivers.motion_guard import MotionGuard
 from armcell.drivers.real.arm import CallerStreamedExecution, RealArm, RealGripper, StreamedExecution
 from armcell.drivers.real.heartbeat import Heartbeat
 from armcell.drivers.real.held_objects import HeldObjects
 from armcell.drivers.real.robot_kind import identify_all, kind_of, real_settings
-from armcell.drivers.safety import Fault, MotionGuard, SafetyEvent, Supervisor, cannot_resume
+from armcell.drivers.safety import Fault, SafetyEvent, Supervisor, cannot_resume
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
 

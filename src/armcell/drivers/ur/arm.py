@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from armcell import _interrupts
 from armcell.core import ArmcellError, InputError, JointTrajectory
 from armcell.drivers.execution_handle import RUNNING, ExecutionHandle
+from armcell.drivers.motion_guard import ArmSample
 from armcell.drivers.real import RealArm, RealGripper, RealSettings
-from armcell.drivers.safety import ArmSample, Fault
+from armcell.drivers.safety import Fault
 from armcell.drivers.ur import program as commands
 from armcell.drivers.ur.calibration import HALF_TURN
 from armcell.drivers.ur.dashboard import DashboardClient

@@ -97,8 +97,8 @@ class CommandServer:
         return self._client is not None and self._client.open
 
     def set_active(self, active: bool) -> None:
-        """Activate or deactivate the command server (FCI) of the emulated Franka arm, as an operator does in
-        Desk.
+        """Switch the command server of the emulated Franka arm on or off (FCI). If it is off, the server has
+        no client and refuses connections.
         """
         self.active = active
         if not active and self._client is not None:

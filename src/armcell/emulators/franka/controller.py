@@ -170,7 +170,9 @@ class FrankaRack(Rack[FrankaController]):
 
 
 class EmulatedFranka:
-    """Emulated robot kind `franka`: a Franka controller with an arm in the cell's physics world."""
+    """Factory of the robot kind `franka`: it creates an emulated Franka controller with all its ports for an
+    arm in the cell's physics world.
+    """
 
     physics: Mapping[str, Any] = TORQUE_PHYSICS
 

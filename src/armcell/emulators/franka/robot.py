@@ -375,7 +375,9 @@ class Robot:
 
     # --- the operator ---
     def user_stop(self, pressed: bool) -> None:
-        """Press or release the user stop of the emulated Franka robot."""
+        """Put the emulated Franka robot into the mode "user stopped", as a pressed user stop does, or release
+        it to the mode "idle".
+        """
         if pressed and self.mode is not RobotMode.USER_STOPPED:
             self.announce("user stop pressed")
             self.mode = RobotMode.USER_STOPPED
@@ -439,7 +441,7 @@ class Robot:
         return SetterStatus.NOT_POSSIBLE if self.mode is RobotMode.MOVE else SetterStatus.SUCCESS
 
     def set_load(self, mass: float, center: ArrayLike, inertia: ArrayLike) -> SetterStatus:
-        """Set the load [kg] of the emulated Franka robot, its center (3,) [m] and inertia (9,) [kg m^2]."""
+        """Give the emulated Franka robot a load [kg], with its center (3,) [m] and inertia (9,) [kg m^2]."""
         load = Load(mass, np.asarray(center, dtype=float), np.asarray(inertia, dtype=float))
         heavy = mass + (settings.HAND_MASS if self.plant.hand else 0.0) > settings.MAX_LOAD
         if heavy or not load.is_valid:
@@ -448,7 +450,9 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_frame(self, name: str, values: Sequence[float]) -> SetterStatus:
-        """Set the frame NE_T_EE or EE_T_K of the emulated Franka robot from 16 column-major numbers."""
+        """Change the end effector frame or the stiffness frame of the emulated Franka robot (NE_T_EE or
+        EE_T_K), given as 16 column-major numbers.
+        """
         T = np.array(values).reshape(4, 4).T
         valid = np.allclose(T[:3, :3].T @ T[:3, :3], np.eye(3), atol=1e-4) and np.linalg.det(T[:3, :3]) > 0
         if not valid or not np.allclose(T[3], (0, 0, 0, 1)):
@@ -467,7 +471,9 @@ class Robot:
         return SetterStatus.SUCCESS if valid else SetterStatus.INVALID_ARGUMENT
 
     def set_thresholds(self, values: Sequence[float]) -> SetterStatus:
-        """Set the 52 contact and collision thresholds of the emulated Franka robot (SetCollisionBehavior)."""
+        """Set the 52 torque and force thresholds at which the emulated Franka robot detects contacts and
+        collisions (SetCollisionBehavior).
+        """
         valid = self.thresholds.set(np.array(values))
         return SetterStatus.SUCCESS if valid else SetterStatus.INVALID_ARGUMENT
 

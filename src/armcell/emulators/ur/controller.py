@@ -134,8 +134,8 @@ class UrController:
 
 
 class UrRack(Rack[UrController]):
-    """Event loop that runs several emulated UR controllers in one thread. All arms with simulated physics
-    share one physics world.
+    """Several emulated UR controllers with all their ports, which run in one thread. All arms with simulated
+    physics share one physics world.
 
     Args:
         trace: file for records in the format `TRACE`.
@@ -165,7 +165,7 @@ class UrRack(Rack[UrController]):
 
 
 class EmulatedUr:
-    """Factory for emulated UR controllers, registered as robot kind `ur`. Each controller drives an arm in
+    """Factory of the robot kind `ur`: it creates an emulated UR controller with all its ports for an arm in
     the cell's physics world.
     """
 

@@ -154,8 +154,8 @@ def run_command(robot: Robot, text: str) -> bool:
 
 
 def run_script(robot: Robot, network: Network, text: str, name: str = "") -> bool:
-    """Compile a URScript program from a client of the script server, and start it on the emulated UR robot in
-    place of the running program.
+    """Take a URScript program that a client sent to the script server, compile it, and start it on the
+    emulated UR robot in place of the running program.
 
     A secondary program runs beside the running program. If the text does not compile, the robot reports the
     error as a pendant does, and the running program ends as well.

@@ -239,8 +239,8 @@ def common_link(model: RobotModel, links: list[str]) -> str:
 
 
 def _fixed_hand(model: RobotModel, last: str) -> str | None:
-    """Return the palm link of a gripper with fixed fingers at the end of a detected arm chain, or None if the
-    URDF has no such gripper.
+    """Return the palm at the end of a detected arm that carries a gripper with fixed fingers, or None if the
+    arm has no such gripper.
 
     The palm is the first link fixed below `last` with at least two branches that have collision geometry.
     """

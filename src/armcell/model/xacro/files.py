@@ -157,8 +157,8 @@ class RobotFiles:
 
     def _loaded(self, text: str, path: Path, evaluate: Any) -> Any:
         class Loader(SafeLoader):
-            """YAML 1.1 loader for the YAML files of a xacro robot description. It reads `yes` as true, as ROS
-            does, and supports xacro's units.
+            """Loader for the YAML 1.1 files to which a robot description refers. It reads `yes` as true, as
+            ROS does, and supports xacro's units.
             """
 
         def with_unit(loader: Any, tag: str, node: yaml.Node) -> float:

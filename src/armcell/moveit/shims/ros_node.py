@@ -27,7 +27,7 @@ class ROSInterruptException(ROSException, KeyboardInterrupt):
 
 
 class ROSInitException(ROSException):
-    """Exception of rospy: the ROS node is not initialized or cannot be initialized."""
+    """Exception of a ROS node, like that of rospy: the node is not initialized or cannot be initialized."""
 
 
 class ROSSerializationException(ROSException):

@@ -31,7 +31,7 @@ from armcell.planning.certify import certify_and_time, clearance_along
 from armcell.planning.constraints.constraint_validation import check_constraints
 from armcell.planning.constraints.manifold import ConstraintManifold
 from armcell.planning.constraints.plan import chords, warm_up_constraints
-from armcell.planning.constraints.visibility import make_manifold
+from armcell.planning.constraints.visibility_manifold import make_manifold
 from armcell.planning.diagnosis import with_explanation
 from armcell.planning.moved_frame import MovedFrame, check_cartesian_speed, limit_cartesian_speed
 from armcell.planning.start_in_contact import reject_deep_contacts

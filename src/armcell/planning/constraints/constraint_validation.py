@@ -14,12 +14,8 @@ from armcell.core import (
     UnknownNameError,
 )
 from armcell.kinematics import ik_solver
-from armcell.planning.constraints.evaluation import (
-    PARAMETERIZATIONS,
-    check_visibility,
-    distance_to_shape,
-    region_distance,
-)
+from armcell.planning.constraints.evaluation import PARAMETERIZATIONS, distance_to_shape, region_distance
+from armcell.planning.constraints.visibility import check_visibility
 from armcell.planning.moved_frame import MovedFrame
 from armcell.scene import PlanningScene
 

@@ -42,7 +42,7 @@ from armcell.planning.constraints.rrt_connect import (
     space_size,
 )
 from armcell.planning.constraints.simplify import shorten
-from armcell.planning.constraints.visibility import VisibilityManifold, make_manifold
+from armcell.planning.constraints.visibility_manifold import VisibilityManifold, make_manifold
 from armcell.planning.goals.joint_goals import stream_goals
 from armcell.planning.goals.sampling import reaches_goal, sample_goal_positions
 from armcell.planning.planners.native.rrt_connect import ITERATIONS, Query

@@ -14,17 +14,15 @@ import numpy as np
 from armcell.core import SE3, SO3, CartesianRequest, ErrorCode
 from armcell.kinematics import IKSolver, ik_solver
 from armcell.planning.diagnosis import text_format
-from armcell.planning.diagnosis.constraints import diagnose_path_constraints
-from armcell.planning.diagnosis.contacts import suggest_freeing_objects
-from armcell.planning.diagnosis.diagnosis import (
-    CLOSE_TO_LIMIT,
-    Diagnosis,
+from armcell.planning.diagnosis.changes import (
     change_request,
     change_start,
     change_waypoints,
     replace_by_free_motion,
-    report_limit_margins,
 )
+from armcell.planning.diagnosis.constraints import diagnose_path_constraints
+from armcell.planning.diagnosis.contacts import suggest_freeing_objects
+from armcell.planning.diagnosis.diagnosis import CLOSE_TO_LIMIT, Diagnosis, report_limit_margins
 from armcell.planning.diagnosis.nearest_free import ANGLES, DIRECTIONS, DISTANCES
 from armcell.planning.diagnosis.unreachable_pose import explain_pose
 

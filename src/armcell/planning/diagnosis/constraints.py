@@ -34,16 +34,10 @@ from armcell.core import (
     VisibilityConstraint,
 )
 from armcell.planning.constraints.evaluation import ConstraintResidual, constraint_errors
-from armcell.planning.constraints.visibility import make_manifold
+from armcell.planning.constraints.visibility_manifold import make_manifold
 from armcell.planning.diagnosis import text_format
-from armcell.planning.diagnosis.diagnosis import (
-    Diagnosis,
-    change_goal,
-    change_request,
-    change_start,
-    report_distance,
-    wanted_joints,
-)
+from armcell.planning.diagnosis.changes import change_goal, change_request, change_start
+from armcell.planning.diagnosis.diagnosis import Diagnosis, report_distance, wanted_joints
 from armcell.planning.goals.sampling import sample_goal_positions
 from armcell.planning.moved_frame import MovedFrame
 

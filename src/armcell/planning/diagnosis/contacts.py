@@ -15,7 +15,8 @@ from armcell.collision import ExactChecker
 from armcell.collision.exact_checker import overlaps
 from armcell.core import Contact
 from armcell.planning.diagnosis import text_format
-from armcell.planning.diagnosis.diagnosis import Diagnosis, move_object, moved, remove_objects
+from armcell.planning.diagnosis.changes import move_object, moved, remove_objects
+from armcell.planning.diagnosis.diagnosis import Diagnosis
 from armcell.planning.diagnosis.nearest_free import DIRECTIONS
 from armcell.scene import PlanningScene
 

@@ -1,145 +1,40 @@
-"""Diagnosis of one failed planning request: inputs, findings, tested suggestions, changes they make.
-
-Each change is a function from (scene, request) to a changed copy of both.
-"""
+"""Diagnosis of one failed planning request: inputs, findings and tested suggestions."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
-    SE3,
     ArmcellError,
-    CartesianRequest,
     Contact,
     Explanation,
-    Goal,
     InputError,
     JointGoal,
     JointState,
     NamedGoal,
     PlanRequest,
     PlanResult,
-    PoseGoal,
     Suggestion,
 )
 from armcell.core.results import Change
 from armcell.kinematics import kinematic_tree
+from armcell.planning.diagnosis.changes import Request
 from armcell.planning.diagnosis.nearest_free import nearest_free
 from armcell.scene import PlanningScene
 
-Request = PlanRequest | CartesianRequest
-SceneAndRequest = tuple[PlanningScene, Request]
 Array = NDArray[np.float64]
 Solve = Callable[[PlanningScene, Any], PlanResult]
 TRY = 2.0  # [s] planning time limit of a changed request
 SPARE = 2e-3  # [m] wanted distance of the nearest free configuration from objects
 CLOSE_TO_LIMIT = np.deg2rad(5.0)
-
-
-def change_request(scene: PlanningScene, request: Request, **fields: Any) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: replace fields of the planning request."""
-    return scene, replace(request, **fields)
-
-
-def change_start(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: move some joints in the start state of the request to other
-    positions.
-    """
-    start = scene.state.updated(request.start) if request.start is not None else scene.state
-    return scene, replace(request, start=start.updated(state))
-
-
-def change_goal(scene: PlanningScene, request: PlanRequest, number: int, goal: Goal) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: replace the goal at index `number` of the planning request. If the
-    request has no goal at this index, append the new goal.
-    """
-    goals = list(request.goals)
-    goals[number : number + 1] = [goal]
-    return scene, replace(request, goals=tuple(goals))
-
-
-def change_waypoints(
-    scene: PlanningScene, request: CartesianRequest, waypoints: Sequence[SE3]
-) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: replace the waypoints of the Cartesian request."""
-    return scene, replace(request, waypoints=tuple(waypoints))
-
-
-def replace_by_free_motion(scene: PlanningScene, request: CartesianRequest) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: replace a straight-line (Cartesian) motion by a free motion to the last
-    waypoint of the Cartesian request.
-    """
-    goal = PoseGoal(request.waypoints[-1], request.link)
-    return scene, PlanRequest(
-        request.group, (goal,), start=request.start, velocity_scaling=request.velocity_scaling,
-        acceleration_scaling=request.acceleration_scaling, path_constraints=request.path_constraints,
-    )  # fmt: skip
-
-
-def remove_objects(scene: PlanningScene, request: Request, names: Sequence[str]) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: remove objects from the planning scene."""
-    return without(scene, names), request
-
-
-def move_object(scene: PlanningScene, request: Request, name: str, offset: ArrayLike) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: move an object in the planning scene by an offset (3,) [m]."""
-    return moved(scene, name, np.asarray(offset, dtype=float)), request
-
-
-def change_padding(scene: PlanningScene, request: Request, padding: float) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: reduce the padding of every link to at most `padding` [m]."""
-    return padded(scene, padding), request
-
-
-def allow_contact(scene: PlanningScene, request: Request, a: str, b: str) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: allow two bodies to touch each other."""
-    return scene.with_allowed(a, b), request
-
-
-def change_mass(scene: PlanningScene, request: Request, name: str, mass: float) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: set the mass [kg] of an attached object."""
-    body = scene.attached[name]
-    lighter = replace(body, object=replace(body.object, mass=mass))
-    return replace(scene, attached={**scene.attached, name: lighter}), request
-
-
-def reset_state(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Apply a diagnosis's suggestion: set new joint positions in the scene's robot state, because the
-    previous positions may be invalid.
-    """
-    positions = np.array(scene.positions)
-    positions[scene.model.columns(state.joint_names)] = state.positions
-    return replace(scene, positions=positions), request
-
-
-def without(scene: PlanningScene, names: Sequence[str]) -> PlanningScene:
-    """Return a copy of a diagnosis's scene without the given objects, to test or apply a suggestion."""
-    return replace(scene, objects={k: v for k, v in scene.objects.items() if k not in names})
-
-
-def moved(scene: PlanningScene, name: str, offset: np.ndarray) -> PlanningScene:
-    """Return a copy of a diagnosis's scene in which an object is moved by an offset (3,) [m], to test or
-    apply a suggestion.
-    """
-    T = scene.objects[name].T_world_object
-    return scene.with_object_pose(name, SE3(T.rotation, T.translation + offset))
-
-
-def padded(scene: PlanningScene, most: float) -> PlanningScene:
-    """Return a copy of a diagnosis's scene whose paddings are at most `most` [m], to test or apply a
-    suggestion.
-    """
-    links = {link: min(value, most) for link, value in scene.link_padding.items()}
-    return scene.with_padding(min(scene.padding, most), links)
 
 
 @dataclass(eq=False)

@@ -10,7 +10,8 @@ from typing import Any, TypeVar, cast
 
 from armcell.core import CartesianRequest, ErrorCode, Explanation, InputError, PlanResult
 from armcell.planning.diagnosis import cartesian, constraints, goal, pilz, search_failure, start_state
-from armcell.planning.diagnosis.diagnosis import Diagnosis, Request, Solve
+from armcell.planning.diagnosis.changes import Request
+from armcell.planning.diagnosis.diagnosis import Diagnosis, Solve
 from armcell.planning.diagnosis.invalid_request import diagnose_invalid_request, missing_result
 from armcell.scene import PlanningScene
 

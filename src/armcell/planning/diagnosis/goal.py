@@ -9,13 +9,11 @@ import numpy as np
 from armcell.collision import ExactChecker
 from armcell.core import ConstraintGoal, JointGoal, JointState, NamedGoal, PlanRequest, PoseGoal
 from armcell.planning.diagnosis import text_format
+from armcell.planning.diagnosis.changes import allow_contact, change_goal, change_padding
 from armcell.planning.diagnosis.constraints import diagnose_goal_constraints
 from armcell.planning.diagnosis.contacts import pairs_of, suggest_freeing_objects
 from armcell.planning.diagnosis.diagnosis import (
     Diagnosis,
-    allow_contact,
-    change_goal,
-    change_padding,
     report_distance,
     report_limit_margins,
     wanted_joints,

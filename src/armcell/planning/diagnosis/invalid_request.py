@@ -19,7 +19,8 @@ from armcell.core import (
     PoseGoal,
     UnknownNameError,
 )
-from armcell.planning.diagnosis.diagnosis import Diagnosis, change_goal, change_request, change_waypoints
+from armcell.planning.diagnosis.changes import change_goal, change_request, change_waypoints
+from armcell.planning.diagnosis.diagnosis import Diagnosis
 from armcell.planning.planners.registry import normalized_planner_id
 
 CODES = (  # kind of name, MoveIt's error code

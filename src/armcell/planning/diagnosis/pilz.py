@@ -23,8 +23,9 @@ from armcell.core import (
     SequenceRequest,
     Suggestion,
 )
+from armcell.planning.diagnosis.changes import change_request
 from armcell.planning.diagnosis.contacts import suggest_freeing_objects
-from armcell.planning.diagnosis.diagnosis import Diagnosis, change_request, report_limit_margins
+from armcell.planning.diagnosis.diagnosis import Diagnosis, report_limit_margins
 from armcell.planning.planners.registry import PILZ, normalized_pipeline_id
 from armcell.scene import PlanningScene
 

@@ -12,20 +12,17 @@ import numpy as np
 
 from armcell.core import ErrorCode, JointGoal, JointState, NamedGoal, PlanRequest, PoseGoal
 from armcell.planning.diagnosis import text_format
-from armcell.planning.diagnosis.constraints import diagnose_path_constraints
-from armcell.planning.diagnosis.diagnosis import (
-    TRY,
-    Diagnosis,
+from armcell.planning.diagnosis.changes import (
     change_goal,
     change_mass,
     change_padding,
     change_request,
     padded,
     remove_objects,
-    report_limit_margins,
-    wanted_joints,
     without,
 )
+from armcell.planning.diagnosis.constraints import diagnose_path_constraints
+from armcell.planning.diagnosis.diagnosis import TRY, Diagnosis, report_limit_margins, wanted_joints
 from armcell.planning.diagnosis.nearest_free import PoseSearch
 
 SHORT = 0.5  # [s] planning time of one test

@@ -11,17 +11,15 @@ from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.resting_contact import RESTING, resting_contacts
 from armcell.core import ErrorCode, Explanation, JointState, PlanRequest, Suggestion
 from armcell.planning.diagnosis import text_format
-from armcell.planning.diagnosis.contacts import pairs_of, suggest_freeing_objects
-from armcell.planning.diagnosis.diagnosis import (
-    Diagnosis,
+from armcell.planning.diagnosis.changes import (
     SceneAndRequest,
     allow_contact,
     change_request,
     change_start,
-    report_distance,
-    report_limit_margins,
     reset_state,
 )
+from armcell.planning.diagnosis.contacts import pairs_of, suggest_freeing_objects
+from armcell.planning.diagnosis.diagnosis import Diagnosis, report_distance, report_limit_margins
 from armcell.scene import PlanningScene
 
 WITHIN = 1e-6  # [rad or m] inside a limit

@@ -251,8 +251,8 @@ def _in_collision(contacts: list[Contact]) -> Outcome:
 def stream_goals(
     validated: ValidatedRequest, checker: KernelChecker, known: Sequence[Array], seed: int
 ) -> Iterator[Array] | None:
-    """Yield further collision-free joint positions (n,) that meet the goals of a request. They are computed
-    one by one while the planner is searching.
+    """Yield further joint goals while the planner is searching: collision-free joint positions (n,) that meet
+    the goals of the request, computed one by one.
 
     The positions of the request's goals alternate. Nothing is computed before the first position is
     requested. The result is None if the goals have no further positions.

@@ -108,7 +108,9 @@ def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGo
 def _of_joints(
     scene: PlanningScene, group: str, goal: JointGoal, rng: np.random.Generator
 ) -> Iterator[Array]:
-    """Sample joint positions for a joint goal, first near the exact goal, then within its whole tolerance."""
+    """Draw random samples for a goal of joint positions, first near the exact goal, then from its whole
+    tolerance region.
+    """
     names = scene.model.group(group).joint_names
     low, high = joint_ranges(scene, group, ())
     named = np.array([name in goal.state.joint_names for name in names])
@@ -146,8 +148,8 @@ def full_turn_equivalents(
 def _of_pose(
     scene: PlanningScene, group: str, goal: PoseGoal, rng: np.random.Generator, deadline: float
 ) -> Iterator[Array]:
-    """Sample joint positions for a pose goal. IK solutions of the exact goal pose alternate with IK solutions
-    of random poses within the goal's tolerances.
+    """Draw random samples of joint positions for a pose goal. IK solutions of the exact goal pose alternate
+    with IK solutions of random poses within the goal's tolerances.
 
     The exact solutions include equivalents by full turns; random poses are solved from random references.
     """
@@ -226,7 +228,7 @@ def _turn(tolerance: Array, parameterization: str, rng: np.random.Generator) -> 
 def _of_constraints(
     scene: PlanningScene, group: str, wanted: Constraints, rng: np.random.Generator, deadline: float
 ) -> Iterator[Array]:
-    """Sample joint positions for a goal that is defined by constraints.
+    """Draw random samples of joint positions for a goal that is defined by constraints.
 
     The sampler starts from the request's start or from random positions, and moves each of them to the
     nearest solution or to a random solution.

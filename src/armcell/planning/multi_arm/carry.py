@@ -57,8 +57,8 @@ POSTURES = 4  # joint solutions tried at the end of a detour
 
 @dataclass(frozen=True, eq=False)
 class CarrySegment:
-    """Segment of a two-arm carry: a timed motion of both arms from rest to rest,
-    along one path of the carried object.
+    """Planned segment of a two-arm carry: a timed motion of both arms from rest to rest, along one path of
+    the carried object.
     """
 
     trajectory: JointTrajectory
@@ -68,7 +68,9 @@ class CarrySegment:
 
 @dataclass(frozen=True, eq=False)
 class BlockedSegment:
-    """Reason why two arms cannot carry an object along a path: text, evidence and error code."""
+    """Reason why the planned carry of two arms is blocked on an object path: text, evidence and
+    error code.
+    """
 
     text: str
     evidence: dict[str, Any] = field(default_factory=dict)
@@ -299,8 +301,8 @@ class _DetourPlanner:
         return free[:POSTURES]
 
     def _clear(self, T: SE3, q: Array) -> tuple[SE3, Array] | None:
-        """Choose a pose with enough clearance for an object that two arms carry: pose T, or the lowest
-        suitable pose above T. Return the pose and the joint positions (dof,).
+        """Choose an object pose with enough clearance for the planning of a two-arm carry: pose T, or the
+        lowest suitable pose above T. Return the pose and the joint positions (dof,).
 
         Return None if the object touches at all these poses.
         """

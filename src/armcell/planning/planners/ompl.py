@@ -141,7 +141,7 @@ def _text(value: Any) -> str:
 
 
 def _converted(kind: type, value: Any, what: str) -> Any:
-    """Convert a value, which may be text from a file, to the type of an OMPL planner parameter."""
+    """Convert a value, such as text, to the type that OMPL has for a parameter of its planner."""
     if kind is str:
         return str(value)
     text = str(value).strip().lower()

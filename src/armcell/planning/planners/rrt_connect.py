@@ -51,8 +51,8 @@ class RRTConnectSettings:
 
 @dataclass(frozen=True, eq=False)
 class NativeResult:
-    """Result of RRT-Connect or another native planner: waypoints (k, dof) that are proven collision-free, or
-    None.
+    """Result of the planner RRT-Connect, or of a planner built on it: waypoints (k, dof) that are proven
+    collision-free, or None.
 
     Times are seconds of this thread's CPU time.
     """
@@ -69,7 +69,7 @@ class NativeResult:
 
 
 class NativePlanner:
-    """Native planner for one collision checker, which searches by RRT-Connect and then simplifies the path.
+    """The planner RRT-Connect for one collision checker. It searches a path and then simplifies it.
 
     The planner keeps its trees between calls. Use one instance per thread.
     """
@@ -135,8 +135,8 @@ class NativePlanner:
         self.found[NODES_1] += 1
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Prove that the path through the waypoints path[:count] is collision-free, and shorten it in place
-        with the native RRT-Connect planner.
+        """Prove that the path through the waypoints path[:count] of the planner RRT-Connect is
+        collision-free, and shorten it in place.
 
         Return the new count, or 0 if a proof fails.
         """
@@ -144,8 +144,8 @@ class NativePlanner:
         return simplify_path(c.handle, self.path, count, self.space, self.index, self.slack, PADDED, stop)
 
     def shortened(self, waypoints: Array, stop: NDArray[np.int64]) -> Array | None:
-        """Simplify a path (m, dof) with the native RRT-Connect planner, and return waypoints (k, dof) that
-        are proven collision-free.
+        """Let the planner RRT-Connect shorten a path (m, dof), and return waypoints (k, dof) that are proven
+        collision-free.
 
         Return None if an edge cannot be proven.
         """
@@ -346,7 +346,7 @@ _of_thread = threading.local()
 
 
 def planner_of(checker: KernelChecker, settings: RRTConnectSettings | None = None) -> NativePlanner:
-    """Return the current thread's native RRT-Connect planner for a collision checker.
+    """Return the current thread's planner RRT-Connect for a collision checker.
 
     Each thread reuses one planner per number of joints, because the trees of a planner are large.
     Settings other than the default create a new planner.
@@ -384,8 +384,8 @@ def stop_flag(problem: Problem) -> Iterator[NDArray[np.int64]]:
 
 
 def simplify(problem: Problem, waypoints: Array) -> Array | None:
-    """Simplify a path (m, n) that another planner found, with the native RRT-Connect planner. The first and
-    last waypoints do not change.
+    """Let the planner RRT-Connect simplify a path (m, n) that another planner found. The first and last
+    waypoints do not change.
 
     Return None if an edge cannot be proven.
 

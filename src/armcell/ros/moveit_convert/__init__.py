@@ -21,7 +21,6 @@ from armcell.ros.moveit_convert.states import (
     robot_state_from_message,
     robot_state_message,
     robot_trajectory_message,
-    trajectory_message,
 )
 
 __all__ = [
@@ -41,6 +40,5 @@ __all__ = [
     "robot_state_message",
     "robot_trajectory_message",
     "scene_message",
-    "trajectory_message",
     "world_from_message",
 ]

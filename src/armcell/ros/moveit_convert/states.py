@@ -6,37 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from armcell.core import InputError, JointState, JointTrajectory, UnknownNameError
+from armcell.core import InputError, JointState, JointTrajectory
 from armcell.kinematics import kinematic_tree
-from armcell.model import RobotModel
+from armcell.ros.convert import joint_state_from_message, trajectory_message
 from armcell.ros.moveit_convert.objects import object_message
 from armcell.ros.schema import Schema
 from armcell.scene import AttachedBody, PlanningScene
-
-
-def joint_state_from_message(message: Any, model: RobotModel) -> JointState | None:
-    """Convert a sensor_msgs/JointState message, such as the one in a moveit_msgs/RobotState, to a joint state
-    without the mimic joints.
-
-    Returns:
-        The joint state, or None if the message names no actuated joint.
-    Raises:
-        UnknownNameError: a joint does not exist.
-        InputError: a joint is repeated, the number of positions differs from the number of names, or a value
-            is not finite.
-    """
-    names, values = list(message.name), [float(v) for v in message.position]
-    if len(names) != len(values):
-        raise InputError(f"a joint state has {len(names)} names and {len(values)} positions")
-    found: dict[str, float] = {}
-    for name, value in zip(names, values):
-        if name not in model.joints:
-            raise UnknownNameError("joint", name, model.joints)
-        if name in found:
-            raise InputError(f"joint {name!r} is named twice")
-        if model.joints[name].actuated:
-            found[name] = value
-    return JointState.from_mapping(found) if found else None
 
 
 def robot_state_from_message(message: Any, scene: PlanningScene) -> JointState | None:
@@ -81,8 +56,8 @@ def robot_state_message(schema: Schema, header: Any, scene: PlanningScene, attac
 
 
 def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
-    """Convert an attached body of the robot state to an AttachedCollisionObject message in the frame of its
-    link.
+    """Convert an attached body in the robot state, as part of a moveit_msgs/RobotState, to an
+    AttachedCollisionObject message in the frame of its link.
     """
     own = schema.new("std_msgs/Header", stamp=header.stamp, frame_id=body.link)
     return schema.new(
@@ -91,28 +66,6 @@ def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
         object=object_message(schema, own, body.object.at(body.T_link_object)),
         touch_links=sorted(body.touch_links),
     )
-
-
-def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory) -> Any:
-    """Convert a trajectory of robot states to a trajectory_msgs/JointTrajectory message.
-
-    Velocities and accelerations are included if the trajectory has them.
-    """
-    Point = schema.message("trajectory_msgs/JointTrajectoryPoint")
-    duration = schema.message("builtin_interfaces/Duration")
-    empty = np.zeros(0)
-    v, a = trajectory.velocities, trajectory.accelerations
-    points = [
-        Point(
-            trajectory.positions[i],
-            empty if v is None else v[i],
-            empty if a is None else a[i],
-            empty,
-            duration.from_sec(float(t)),
-        )
-        for i, t in enumerate(trajectory.times)
-    ]
-    return schema.new("trajectory_msgs/JointTrajectory", header, list(trajectory.joint_names), points)
 
 
 def robot_trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory | None) -> Any:

@@ -252,8 +252,8 @@ class CellMotions:
             select_controllers(self.controllers, controllers, joints)
 
     def _restricted(self, driver: Driver, controllers: Sequence[str]) -> Driver:
-        """Return a view of the cell's driver that executes motions only with the named controllers. Without
-        names, motions may use all controllers.
+        """Return the cell's driver for a client's motions, restricted to the named controllers. Without
+        names, the motions may use all controllers.
         """
         return driver
 

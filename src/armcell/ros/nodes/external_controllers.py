@@ -27,7 +27,7 @@ from armcell.drivers.execution_handle import RUNNING
 from armcell.model import Gripper
 from armcell.ros.actions import ActionClient, ClientGoalHandle, GoalState
 from armcell.ros.bus import Bus
-from armcell.ros.moveit_convert.states import trajectory_message
+from armcell.ros.convert import trajectory_message
 from armcell.ros.nodes.gripper_node import ACTION as GRIPPER_COMMAND
 from armcell.timing import stationary_trajectory, with_resting_joints
 

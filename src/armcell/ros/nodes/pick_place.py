@@ -23,10 +23,9 @@ from armcell.grasping import (
 )
 from armcell.model import Gripper
 from armcell.ros.actions import ActionOutcome, ActionServer, Goal
-from armcell.ros.convert import pose_from_message
+from armcell.ros.convert import pose_from_message, trajectory_message
 from armcell.ros.moveit_convert import robot_trajectory_message
 from armcell.ros.moveit_convert.objects import frame_of
-from armcell.ros.moveit_convert.states import trajectory_message
 from armcell.ros.nodes.gripper_node import NEAR
 from armcell.ros.nodes.move_group import MoveGroupNode
 from armcell.ros.nodes.outcomes import goal_state, unknown_name_code, wait_for_outcome

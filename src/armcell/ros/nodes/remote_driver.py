@@ -23,9 +23,14 @@ from armcell.drivers import Capability, Driver, ExecutionHandle, GripperReading
 from armcell.model import Gripper
 from armcell.records.mcap_writer import ros_name
 from armcell.ros.bus import Bus
-from armcell.ros.convert import check_in_meters, pose_from_message, unit_fault
+from armcell.ros.convert import (
+    check_in_meters,
+    joint_state_from_message,
+    pose_from_message,
+    trajectory_message,
+    unit_fault,
+)
 from armcell.ros.faults import FaultCounter
-from armcell.ros.moveit_convert.states import joint_state_from_message, trajectory_message
 from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
 from armcell.ros.nodes.external_controllers import (
     ARRIVED,

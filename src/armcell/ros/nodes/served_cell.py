@@ -19,10 +19,10 @@ from armcell.ros.nodes.cell_node import CellNode
 from armcell.ros.nodes.grasp_server import GraspServer
 from armcell.ros.nodes.motion_queue import SETTLE
 from armcell.ros.nodes.move_group import MoveGroupNode
+from armcell.ros.nodes.octomap_node import OctomapNode
 from armcell.ros.nodes.pick_place import PickPlaceNode
 from armcell.ros.nodes.remote_driver import RemoteDriver
 from armcell.ros.nodes.remote_motions import RemoteMotions
-from armcell.ros.nodes.scene_node import OctomapNode
 from armcell.ros.nodes.state_publisher import RATE
 from armcell.ros.robot_description import publish_robot_description
 from armcell.tasks import TaskSettings

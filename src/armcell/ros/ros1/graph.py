@@ -139,7 +139,8 @@ class Ros1Graph:
         self._on_end(reason)
 
     def wait_settled(self, timeout: float = SETTLED) -> bool:
-        """Wait until the ROS 1 graph knows all topics and services of the bus. Return False on timeout.
+        """Wait until the connection to the ROS 1 graph is complete: the graph knows all topics and services
+        of the bus. Return False on timeout.
 
         Args:
             timeout: limit [s].
@@ -200,7 +201,7 @@ class Ros1Graph:
         stack.callback(leave)
 
     def _follow_clock(self, stack: ExitStack) -> None:
-        """Set the clock of the bus from /clock of the ROS 1 graph, if ROS uses simulated time.
+        """Let the bus take its time from /clock of the ROS 1 graph, if ROS uses simulated time.
 
         The clock stays local if the bus itself publishes /clock, or if /use_sim_time is not true.
         """

@@ -55,7 +55,7 @@ class OutgoingTopic:
         self._context.drop(self._writer)
 
     def _put(self, message: Any) -> None:
-        """Send a message of the outgoing topic from the bus to the ROS 2 domain without blocking. If the
+        """Send a message of a bridged topic from the bus to the ROS 2 domain without blocking. If the
         writer's queue is full, the message is dropped.
 
         The method runs in the publisher's thread.
@@ -75,8 +75,8 @@ class OutgoingTopic:
             context.has_dropped()
 
     def check_qos(self) -> None:
-        """Report the ROS 2 subscribers that cannot receive an outgoing topic of the bus, each with the
-        reason.
+        """Report the ROS 2 subscribers that cannot receive a bridged topic of the bus, each with
+        the reason.
         """
         others = self._context.graph.endpoints(self._writer.name.topic, writes=False)
         _check_types(self._context, self.topic, self._writer.name, [e.type for e in others])
@@ -106,7 +106,7 @@ class IncomingTopic:
         self._reader = self._read()
 
     def _wanted(self) -> QosProfile:
-        """Return the QoS profile with which the bridge subscribes to an incoming ROS 2 topic.
+        """Choose the QoS profile of a bridged topic that comes in from the ROS 2 domain.
 
         The result is the configured profile, or else the profile that all known publishers offer.
         """
@@ -134,8 +134,8 @@ class IncomingTopic:
                 context.complain(f"decode {self.topic}", f"{self.topic}: {error}")
 
     def check_qos(self) -> None:
-        """Adapt the QoS with which the bridge subscribes to an incoming topic to the topic's ROS 2
-        publishers, and report incompatible publishers.
+        """Adapt a bridged topic, which comes in from the ROS 2 domain, to the QoS of its ROS 2 publishers,
+        and report incompatible publishers.
         """
         context = self._context
         others = context.graph.endpoints(self._name.topic, writes=True)

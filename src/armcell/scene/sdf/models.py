@@ -115,7 +115,8 @@ class Scope:
         return T
 
     def relative(self, pose: Element | None, base: str, asked_by: Element) -> SE3:
-        """Return the pose in a <pose> element of an SDF model, relative to the frame `base`.
+        """Resolve a pose that an SDF model states, relative to any of its named frames, into the pose
+        relative to the frame `base`.
 
         The <pose> may itself name another frame with `relative_to`; by default it is relative to `base`.
         """
@@ -150,7 +151,8 @@ class ModelReader:
         self._roots: dict[Path, Element] = {}
 
     def root(self, file: Path) -> Element:
-        """Return the root element <sdf> of a file with SDF models.
+        """Let the reader of SDF models read a file, and return its root element <sdf>. Each file is read only
+        once.
 
         Raises:
             InputError: the file is not XML or not SDF.
@@ -197,7 +199,8 @@ class ModelReader:
         return bool(found)
 
     def _included(self, include: Element, uri: str, scope: Scope, depth: int) -> Model | None:
-        """Return the model that an SDF <include> refers to. Return None if it is a light or an actor.
+        """Read the SDF model that an <include> element nests in another model. Return None if it is a light
+        or an actor.
 
         A skipped light or actor is recorded in `notes`.
         """
@@ -218,8 +221,8 @@ class ModelReader:
         return model
 
     def _included_root(self, include: Element, uri: str) -> Element | None:
-        """Return the <sdf> element of an included model file.
-        Return None for Gazebo's sun, which is a light.
+        """Let the reader of SDF models open the file of a nested model, and return its <sdf> element. Return
+        None for Gazebo's sun, which is a light.
         """
         asked_by = child(include, "uri")
         asked_by = include if asked_by is None else asked_by
@@ -282,7 +285,7 @@ def add_frames(parent: Element, scope: Scope) -> None:
 
 
 def saved_poses(world: Element) -> dict[str, SE3]:
-    """Return the world poses of models that Gazebo Classic saved in a <state> of an SDF file. The keys are
+    """Return the world poses of SDF models that Gazebo Classic saved in a <state> of the world. The keys are
     the names of models (MODEL) and of links (MODEL::LINK).
     """
     poses: dict[str, SE3] = {}

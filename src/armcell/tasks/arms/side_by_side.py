@@ -194,8 +194,8 @@ class MotionCoordinator:
 
     # --- motions ---
     def request_start(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
-        """Wait until the coordinator allows an arm to start the requested motion or a detour to the same
-        goal. Return the allowed motion, or the failure if the wait times out or is canceled.
+        """Wait until an arm that works side by side with others may start the requested motion or a detour to
+        the same goal. Return the allowed motion, or the failure if the wait times out or is canceled.
         """
         me, straight = ctx.group, motion.planner == "cartesian"
         began = ctx.driver.now
@@ -250,8 +250,8 @@ class MotionCoordinator:
         self, ctx: ArmContext, scene: PlanningScene, wanted: JointTrajectory,
         others: Mapping[str, RunningMotion], now: float,
     ) -> bool:  # fmt: skip
-        """Return whether the coordinator may start a motion of one arm while other arms are nearby, either
-        moving or at rest.
+        """Return whether an arm that works side by side with others may start a motion while other arms are
+        nearby, either moving or at rest.
 
         Simulated arms keep their timing and are certified with it. Real arms may be slowed by a slider or a
         pause and move during this check, so each pair of them is certified for any timing.
@@ -274,14 +274,16 @@ class MotionCoordinator:
         self, ctx: ArmContext, scene: PlanningScene, wanted: JointTrajectory,
         others: Mapping[str, RunningMotion], now: float,
     ) -> tuple[str, ...]:  # fmt: skip
-        """Return the other coordinated arms whose motions or poses keep an arm from starting its motion."""
+        """Return which of the arms that work side by side keep an arm from starting its motion, by their
+        motions or poses.
+        """
         if len(others) == 1:
             return tuple(others)
         return tuple(n for n in others if not self._free(ctx, scene, wanted, {n: others[n]}, now))
 
     def _clearance_now(self, arms: InterArmChecker, scene: PlanningScene) -> float:
-        """Return the clearance that the coordinator requires between the arms. If the arms are already
-        closer, return slightly less than their present distance.
+        """Return the clearance that the coordinator requires between arms side by side. If the arms are
+        already closer, return slightly less than their present distance.
         """
         q = scene.state.reindexed(arms.joint_names).positions
         if arms.find_too_close(q[None], None, self.clearance) < 0:
@@ -307,8 +309,8 @@ class MotionCoordinator:
         return found if self._free(ctx, scene, found, others, ctx.driver.now) else None
 
     def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
-        """Execute a motion that the coordinator has added to an arm's program: the arm clears the path of
-        another arm, or returns to the start of its requested motion.
+        """Execute a motion that the program of an arm side by side with others does not contain: the arm
+        clears the path of another arm, or returns to the start of its requested motion.
         """
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
         ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
@@ -318,7 +320,9 @@ class MotionCoordinator:
         return done.ok
 
     def rest(self, ctx: ArmContext) -> None:
-        """Record in the motion coordinator that an arm has come to rest."""
+        """Record in the coordinator of arms that work side by side that one of these arms has come
+        to rest.
+        """
         self.running[ctx.group] = RunningMotion.at_rest(ctx.whole_scene(), ctx.group, ctx.driver.now)
 
     # --- waiting for each other ---
@@ -329,8 +333,8 @@ class MotionCoordinator:
         return running.trajectory.duration == 0.0  # a real arm rests when its driver reports it
 
     def _has_lower_priority(self, me: str) -> bool:
-        """Return whether this coordinated arm must let another arm move first: the other arm has waited
-        longer to start its motion, and this arm blocks that motion.
+        """Return whether, of two arms that work side by side, this arm must let the other one move first: the
+        other arm has waited longer to start its motion, and this arm blocks that motion.
         """
         mine = self.waits.get(me)
         return mine is not None and any(
@@ -340,8 +344,8 @@ class MotionCoordinator:
         )
 
     def _resolve_wait(self, ctx: ArmContext) -> None:
-        """Resolve a deadlock of coordinated arms. If another arm has priority or has asked this arm to yield,
-        this arm yields. Otherwise, it asks the resting arms that block its motion to yield.
+        """Resolve a deadlock of arms that work side by side. If another arm has priority or has asked this
+        arm to yield, this arm yields. Otherwise, it asks the resting arms that block its motion to yield.
         """
         me = ctx.group
         if self._has_lower_priority(me) or self.asked[me]:
@@ -352,7 +356,8 @@ class MotionCoordinator:
                 self.asked[other].add(me)
 
     def yield_to_others(self, ctx: ArmContext) -> None:
-        """Make an arm yield to the other arms: the coordinator moves it to its home state, if possible.
+        """Make an arm yield to the arms that work side by side with it: move it to its home state, if
+        possible.
 
         An arm that is already there does not move.
         """
@@ -382,8 +387,8 @@ class MotionCoordinator:
 
     # --- zones and rendezvous ---
     def choose(self, group: str, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the first remaining item whose destination zone is free: no other coordinated arm uses the
-        zone, waits for it or is heading there.
+        """Return the first remaining item whose destination zone is free: no other of the arms that work side
+        by side uses the zone, waits for it or is heading there.
 
         If all zones are busy, return the first of all items. In both cases, the coordinator records that the
         arm approaches the zone of the returned item.
@@ -401,8 +406,8 @@ class MotionCoordinator:
 
     @contextmanager
     def reserved(self, ctx: ArmContext, zone: str) -> Iterator[None]:
-        """Reserve a zone for one of the coordinated arms.
-        Arms receive the zone in the order of their requests.
+        """Reserve a zone for one of the arms that work side by side. Arms receive the zone in the order of
+        their requests.
 
         Raises:
             InputError: the arm already holds a zone (arms with a zone each could wait forever).
@@ -426,8 +431,8 @@ class MotionCoordinator:
             self._heading.pop(ctx.group, None)
 
     def rendezvous(self, ctx: ArmContext, name: str) -> None:
-        """Pause the program of a coordinated arm until all other arms have reached the same rendezvous or
-        their programs have ended.
+        """Pause the program of an arm that works side by side with others until all of them have reached the
+        same rendezvous or their programs have ended.
         """
         here = self._arrived.setdefault(name, set())
         here.add(ctx.group)
@@ -439,8 +444,8 @@ class MotionCoordinator:
         self.waits.pop(ctx.group, None)
 
     def park(self, ctx: ArmContext) -> None:
-        """Keep a coordinated arm at rest after its program has ended, until all other programs end. If
-        another arm needs the space, the resting arm moves to its home state.
+        """Keep an arm at rest after its program has ended, until the programs of all arms side by side have
+        ended. If another arm needs the space, the resting arm moves to its home state.
         """
         ctx.ended = True
         while not ctx.cancel.is_set() and not all(

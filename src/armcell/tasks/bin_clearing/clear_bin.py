@@ -56,7 +56,7 @@ _FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, E
 
 @dataclass
 class BinClearingCounts:
-    """Counters for picks and failures while a bin is cleared."""
+    """Counters of `clear_bin` for picks and failures."""
 
     picks: int = 0  # closed grasps
     put: int = 0  # objects released over the tray
@@ -112,7 +112,9 @@ def clear_bin(
 
 
 class _BinClearing:
-    """State of one run that clears a bin: the arm looks, picks an object and releases it over the tray."""
+    """One run of `clear_bin`: the arm looks, picks an object and releases it over the tray, until the bin is
+    empty.
+    """
 
     def __init__(self, ctx: TaskContext, gripper: Gripper, bin: str, settings: BinClearingSettings):
         self.ctx, self.gripper, self.bin, self.settings = ctx, gripper, bin, settings
@@ -171,7 +173,7 @@ class _BinClearing:
         return self._end(ErrorCode.FAILURE, text)
 
     def _push(self, here: RegionView) -> Outcome:
-        """While clearing a bin, push a piece away from the walls if the hand does not fit around it. Return a
+        """Let `clear_bin` push a piece away from the walls if the hand does not fit around it. Return a
         failure if no such push is found.
         """
         ctx, gripper, counts, t = self.ctx, self.gripper, self.counts, self.ctx.settings
@@ -201,8 +203,8 @@ class _BinClearing:
         return Outcome(code, message, self.counts.as_dict())
 
     def retreat(self, opening: float) -> None:
-        """Retreat while clearing a bin: open the fingers, move straight up as far as possible,
-        and leave the camera's view.
+        """Let `clear_bin` retreat the hand: open the fingers, move straight up as far as possible, and leave
+        the camera's view.
 
         The fingers open only if they press on an object, and at most to their opening [m] before the grasp:
         the hand or the neighboring pieces may have moved since.
@@ -218,9 +220,7 @@ class _BinClearing:
         self._leave_view()
 
     def _try_straight(self, name: str, rise: float, allow: tuple[tuple[str, tuple[str, ...]], ...]) -> None:
-        """Move the hand straight up by `rise` [m] while clearing a bin.
-        If no motion is found, the hand stays.
-        """
+        """Let `clear_bin` move the hand straight up by `rise` [m]. If no motion is found, the hand stays."""
         gripper = self.gripper
         stage = MoveStraight(
             name, gripper.arm_group, gripper.tcp_link, self.ctx.settings.near, (0.0, 0.0, rise), allow=allow
@@ -230,8 +230,8 @@ class _BinClearing:
             perform_all(self.ctx, solution.steps)
 
     def _leave_view(self) -> None:
-        """Move the arm that clears a bin out of the camera's view,
-        to the first named state that it can reach.
+        """Let `clear_bin` move the arm out of the camera's view, to the first named state that it
+        can reach.
         """
         ctx, group = self.ctx, self.gripper.arm_group
         for name in ctx.base.model.named_states.get(group, {}):
@@ -242,8 +242,8 @@ class _BinClearing:
                 return
 
     def _put(self, grasp: HeapGrasp, source: WorkRegion, tray: WorkRegion, look: Look) -> Outcome:
-        """Release the object picked from a bin over the lowest point of the tray.
-        Return FAILURE if the tray is full.
+        """Let `clear_bin` release a picked object over the lowest point of the tray. Return FAILURE if the
+        tray is full.
         """
         ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
         seen = view_region(ctx, look, tray, s)
@@ -280,14 +280,16 @@ class _BinClearing:
         return outcome
 
     def _put_back(self, grasp: HeapGrasp) -> None:
-        """Put an object back into the bin: lower it along the path on which it was lifted, and release it."""
+        """Let `clear_bin` put a picked object back into the bin: lower it along the path on which it was
+        lifted, and release it.
+        """
         touching = ((HELD, (HEAP, self.bin)), (HEAP, self.gripper.hand_links))
         self._try_straight("lay back", self.settings.gap - self.settings.lift, touching)
         self.retreat(grasp.opening)
 
 
 class _PickFromHeap(Pick):
-    """Pick of one unknown object from the heap while a bin is cleared. A camera locates the objects.
+    """Pick of one unknown object from the heap in `clear_bin`. A camera locates the objects.
 
     After a failure, `clear_bin` takes a new image.
     """
@@ -323,7 +325,7 @@ class _PickFromHeap(Pick):
         return solution, outcome
 
     def _candidates(self) -> list[HeapGrasp]:
-        """Return candidate grasps of the visible objects for the next pick of bin clearing.
+        """Return the candidate grasps of the visible objects for the next pick of `clear_bin`.
 
         If there are none, the candidates near walls with a smaller margin around the hand are returned.
         """
@@ -351,7 +353,7 @@ class _PickFromHeap(Pick):
 
 
 def _closer(settings: TopDownGraspSettings, times: int) -> TopDownGraspSettings:
-    """Return grasp settings with which bin clearing picks flat objects and objects near walls: a smaller
+    """Return the grasp settings with which `clear_bin` picks flat objects and objects near walls: a smaller
     margin, more orientations, grasps at corners, and grasps of lower edges.
     """
     return replace(

@@ -17,10 +17,10 @@ from numba import njit
 
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.block import EXACT, PADDED, PROVE, check_block, ints, lanes_of
-from armcell.collision.kernel.frames import interval_half_width_at, rate_at
 from armcell.collision.kernel.motion import deviation_margins, edge_free
 from armcell.collision.kernel.pack import DOF
 from armcell.collision.kernel.simd import L, fma, load, mask_lt, pointer, splat, store, trailing_zeros
+from armcell.collision.kernel.workspace import interval_half_width_at, rate_at
 from armcell.planning.planners.native.rrt_connect import next_sample
 from armcell.planning.planners.native.tree import FAR, get, put
 
