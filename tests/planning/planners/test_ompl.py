@@ -126,12 +126,10 @@ def test_parameters_have_an_effect():
 
 def test_native_parameters():
     scene, goal = panda_wall(), beyond_panda()
-    plain, short = (plan(scene, request(goal, parameters=p)) for p in ({}, {"range": 0.1, "detour": 10}))
+    plain, short = (plan(scene, request(goal, parameters=p)) for p in ({}, {"range": 0.1}))
     assert plain.ok and short.ok and short.evidence["nodes"] > plain.evidence["nodes"]
     judge(scene, short.trajectory)
-    with pytest.raises(
-        UnknownNameError, match=r"it has: detour = 1.45, .*max_nodes = 60000, .*step = 0.03125"
-    ):
+    with pytest.raises(UnknownNameError, match=r"it has: .*max_nodes = 60000, .*step = 0.03125"):
         plan(scene, request(goal, parameters={"goal_bias": 0.1}))
     with pytest.raises(InputError, match="must be positive"):
         plan(scene, request(goal, parameters={"range": -1.0}))

@@ -44,8 +44,6 @@ class RRTConnectSettings:
     max_nodes: int = 60_000  # per tree
     max_iterations: int = 100_000_000  # normally the time limit ends the search first
     max_waypoints: int = 512
-    detour: float = 1.45  # search once more if the path is longer than this many straight lines
-    detour_iterations: int = 8000  # and was found within this number of iterations
     slice: int = 1000  # iterations between streamed goals
 
 
@@ -192,15 +190,13 @@ class NativePlanner:
             more_goals: yields one more goal (dof,) whenever a slice of the search has not found a path.
         """
         stop = np.zeros(1, np.int64) if stop is None else stop
-        best, closest = NativeResult(None), nearest_roots(start, goals)
-        given, straight = len(goals), float(np.min(np.linalg.norm(goals - start, axis=1)))
+        answer, closest = NativeResult(None), nearest_roots(start, goals)
+        given = len(goals)
         for round_ in range(rounds):
-            detour = best.waypoints is not None  # the path is a long detour: search briefly once more
             t0 = time.thread_time()
             ask = (lower, upper, seed + 7919 * round_, stop, self.settings.step / 2**round_)
-            if more_goals is None or detour:
-                most = 2 * best.iterations + 100 if detour else None
-                count, iterations, nodes = self.search(start, goals, *ask, iterations=most)
+            if more_goals is None:
+                count, iterations, nodes = self.search(start, goals, *ask)
             else:
                 count, iterations, nodes, goals = self._in_slices(start, goals, ask, more_goals)
             t1 = time.thread_time()
@@ -209,24 +205,19 @@ class NativePlanner:
             if count:
                 count = self.shorten(count, stop)
             t2 = time.thread_time()
-            best = replace(
-                best,
-                plan_s=best.plan_s + t1 - t0,
-                simplify_s=best.simplify_s + t2 - t1,
-                iterations=best.iterations + iterations,
+            answer = replace(
+                answer,
+                plan_s=answer.plan_s + t1 - t0,
+                simplify_s=answer.simplify_s + t2 - t1,
+                iterations=answer.iterations + iterations,
                 nodes=nodes,
                 streamed=len(goals) - given,
             )
-            if count and (not detour or _length(self.path[:count]) < _length(best.waypoints)):
-                best = replace(best, waypoints=self.path[:count].copy(), raw=raw)
-            if detour or stop[0] or len(raw) == 0:
+            if count:
+                return replace(answer, waypoints=self.path[:count].copy(), raw=raw)
+            if stop[0] or len(raw) == 0:
                 break
-            if best.waypoints is not None and (
-                best.iterations > self.settings.detour_iterations
-                or _length(best.waypoints) <= self.settings.detour * straight
-            ):
-                break
-        return best if best.waypoints is not None else replace(best, closest=closest)
+        return replace(answer, closest=closest)
 
     def _in_slices(
         self, start: Array, goals: Array, ask: tuple, more_goals: Iterator[Array]
@@ -265,11 +256,9 @@ def shorter(known: Array, other: Array | None) -> Array:
     """Return the shorter of two connections (2, dof) between the trees of RRT-Connect, measured in joint
     space [rad].
     """
-    return known if other is None or _length(known) <= _length(other) else other
-
-
-def _length(path: Array | None) -> float:
-    return np.inf if path is None else float(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1)).sum())
+    if other is None or np.linalg.norm(known[1] - known[0]) <= np.linalg.norm(other[1] - other[0]):
+        return known
+    return other
 
 
 POLL = 0.002  # [s] period of the watcher

@@ -44,7 +44,7 @@ class Trees(NamedTuple):
     Attributes:
         nodes: float32, blocks of (dims, L) coordinates.
         parents: int32, -1 - r for root r.
-        radii: float64, radius of each node's dynamic domain, or its longest edge [rad].
+        radii: float64, radius of each node's domain, or its longest edge [rad].
         leaves, leaf_ints: float32 and int32, see nearest_neighbors.
         lanes: float32 scratch memory, L numbers.
         capacity: number of nodes for which each tree has space; a multiple of L, the number of nodes per
