@@ -134,7 +134,7 @@ def _triangles_by_column(first, last, shape):
 @njit(cache=True)
 def _column_sums(points, columns):
     """Compute the winding numbers (m,) of points (m, 3) in a mesh whose triangles are sorted into columns.
-    The coordinates of the points must be exchanged like those of the columns.
+    If the mesh was sorted with its axes permuted, the points need the same permutation.
     """
     v, out = columns.vertices, np.zeros(len(points))
     for p in range(len(points)):

@@ -98,7 +98,7 @@ class ShapeKind:
 
     def named(self, shape: Any) -> dict[str, Any]:
         """Return the sizes [m] of a shape as a dictionary with keys from the shape table, such as `radius`.
-        If `self.vector` is set, it is the only key, with a list of all sizes.
+        For a shape whose sizes form a vector, the dictionary has a single key with a list of all sizes.
         """
         values = self.values(shape)
         return {self.vector: values} if self.vector else dict(zip(self.sizes, values, strict=True))

@@ -197,7 +197,7 @@ class SharedPlant(Protocol):
 
 
 class SharedWorld:
-    """Physics world that the plants of the emulated arms in a rack share.
+    """Physics world that several emulated arms share.
 
     Each plant is driven by its own emulated controller. The plants with the shortest control period advance
     the world, each by an equal part of the period.

@@ -178,7 +178,9 @@ def search(e: DepthEvidence, points: CameraEvidence, mesh: KnownMesh) -> list[Ca
 
 
 def _leading(found: F64, Rs: F64) -> list[int]:
-    """Return the indices of the mesh poses with the lowest values, of which no two have similar rotations."""
+    """Return the indices of the mesh poses with the lowest losses. Of poses with similar rotations, only the
+    best one is returned.
+    """
     kept: list[int] = []
     for i in np.argsort(found, kind="stable"):
         turns = np.einsum("kij,ij->k", Rs[kept], Rs[i])

@@ -255,8 +255,8 @@ class _Builder:
         return _near_found.get(key, look)
 
     def _near(self, bodies: list[tuple[str, int]], arrays: dict[str, Any], i: int, j: int) -> _Meeting:
-        """Return, for the robot's kernel arrays, the sphere groups of two bodies that can touch each
-        other.
+        """Return which sphere groups of body i can touch which sphere groups of body j. Both bodies belong to
+        the robot.
         """
         f, e = bodies[i][1], bodies[j][1]
         if not (self.placed_for_good[i] and self.placed_for_good[j]):

@@ -186,8 +186,8 @@ def _farthest(scene: PlanningScene, link: str) -> float:
 
 
 def _moving(scene: PlanningScene, names: tuple[str, ...], link: str) -> list[tuple[int, float]]:
-    """List the joints that move a link in a visibility manifold, with the multipliers of their
-    mimic joints.
+    """List the joints that move the sensor or target link of a visibility constraint, with the multipliers
+    of their mimic joints.
     """
     tree, columns = kinematic_tree(scene.model), {c: k for k, c in enumerate(scene.model.columns(names))}
     found = [j for j in tree.path_to(link) if tree.kind[j] != FIXED and int(tree.column[j]) in columns]

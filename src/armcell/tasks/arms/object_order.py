@@ -132,8 +132,8 @@ class TourEstimator:
         return None if there is None else (near[0].seconds, near[0].q, there)
 
     def _on_zone(self, item: str) -> SE3:
-        """Return the pose that an object is expected to have in the world after an arm has placed it in its
-        zone, to compare object orders.
+        """Predict the world pose of an object after an arm has placed it in its zone. The comparison of
+        object orders needs this pose.
         """
         body, zone = self.scene.object(item), self.scene.object(self.zone[item])
         try:

@@ -309,8 +309,8 @@ class MotionCoordinator:
         return found if self._free(ctx, scene, found, others, ctx.driver.now) else None
 
     def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
-        """Execute a motion that the program of an arm side by side with others does not contain: the arm
-        clears the path of another arm, or returns to the start of its requested motion.
+        """Execute a motion that makes room for another arm: one of several arms side by side clears the
+        other arm's path, or returns afterwards to the start of its requested motion.
         """
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
         ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})

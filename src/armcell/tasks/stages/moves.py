@@ -174,8 +174,8 @@ class MoveStraight:
 
 
 def _ends_in_contact(scene: PlanningScene, result: PlanResult) -> bool:
-    """Return whether the motion of a move stage ends in a state from which the next motion cannot start,
-    because contacts are allowed only during the motion: an open hand may still surround the object.
+    """Return whether the motion of a move stage ends in contact, so that the next motion cannot start. For
+    example, the open hand may still surround the object.
     """
     assert result.trajectory is not None
     end = result.trajectory.end
