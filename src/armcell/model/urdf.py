@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
@@ -18,6 +17,7 @@ from lxml import etree
 
 from armcell.core import SE3, Format, InputError, Mesh, Shape, named_shapes
 from armcell.model.assets import load_mesh, package_above, resolve_uri
+from armcell.model.multi_dof_joints import single_joints
 from armcell.model.robot import Collision, Inertial, Joint, JointLimits, Link, Mimic, RobotModel, Visual
 from armcell.model.units import LARGEST_LINK, limit_faults, origin_faults
 from armcell.model.untrusted_files import parse_xml, read_text
@@ -420,11 +420,7 @@ class _Reader:
             damping=0.0 if dynamics is None else self.number(dynamics, "damping", 0.0),
             friction=0.0 if dynamics is None else self.number(dynamics, "friction", 0.0),
         )
-        if type_ == "planar":
-            return self.expanded(whole, links, planar_steps(axis))
-        if type_ == "floating":
-            return self.expanded(whole, links, FLOATING_STEPS)
-        return [whole]
+        return single_joints(whole, links)
 
     def limits(self, element: etree._Element, type_: str) -> JointLimits:
         limit = element.find("limit")
@@ -450,53 +446,3 @@ class _Reader:
             velocity=positive(self.number(limit, "velocity", 0.0)),
             effort=positive(self.number(limit, "effort", 0.0)),
         )
-
-    @staticmethod
-    def expanded(joint: Joint, links: dict[str, Link], steps: list[tuple[str, str, tuple]]) -> list[Joint]:
-        """Return the chain of single joints that replaces a planar or floating joint of a URDF.
-
-        The joints are named `joint/x` and so on, as MoveIt names the variables of a multi-DOF joint. The
-        method adds the massless links of the chain to `links`.
-        """
-        chain, parent, T = [], joint.parent, joint.T_parent_joint
-        for i, (suffix, type_, axis) in enumerate(steps):
-            child = joint.child if i == len(steps) - 1 else f"{joint.name}/{suffix}_link"
-            if child != joint.child:
-                links[child] = Link(child)
-            chain.append(
-                replace(
-                    joint, name=f"{joint.name}/{suffix}", type=type_, parent=parent, child=child,
-                    T_parent_joint=T, axis=axis, limits=JointLimits(), mimic=None,
-                )
-            )  # fmt: skip
-            parent, T = child, SE3.identity()
-        return chain
-
-
-FLOATING_STEPS = [
-    ("trans_x", "prismatic", (1.0, 0.0, 0.0)),
-    ("trans_y", "prismatic", (0.0, 1.0, 0.0)),
-    ("trans_z", "prismatic", (0.0, 0.0, 1.0)),
-    ("yaw", "continuous", (0.0, 0.0, 1.0)),
-    ("pitch", "continuous", (0.0, 1.0, 0.0)),
-    ("roll", "continuous", (1.0, 0.0, 0.0)),
-]
-
-
-def planar_steps(normal: np.ndarray) -> list[tuple[str, str, tuple]]:
-    """Return the three single joints that replace a planar joint of a URDF, given the normal of its plane.
-
-    Returns:
-        (suffix, type, axis) of two prismatic joints in the plane and one continuous joint about the normal.
-    """
-    helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    x = np.cross(np.cross(normal, helper), normal)
-    x /= np.linalg.norm(x)
-    if abs(normal[2]) > 0.999:
-        x = np.array([1.0, 0.0, 0.0])
-    y = np.cross(normal, x)
-    return [
-        ("x", "prismatic", tuple(x.tolist())),
-        ("y", "prismatic", tuple(y.tolist())),
-        ("theta", "continuous", tuple(normal.tolist())),
-    ]
