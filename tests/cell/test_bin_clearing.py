@@ -12,7 +12,7 @@ from tests.tasks.helpers import AtStage, notes
 
 import armcell
 from armcell.cell import Cell, run_task
-from armcell.cell.schema import validated
+from armcell.cell.validation import validated
 from armcell.core import ErrorCode, InputError, UnknownNameError
 from armcell.scene import library_object
 from armcell.tasks.bin_clearing import BinClearingSettings, clear_bin

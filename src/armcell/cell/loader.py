@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armcell.cell.built_in import CELL_FILE, LIBRARY, cell_names
-from armcell.cell.schema import validated
+from armcell.cell.validation import validated
 from armcell.core import UnknownNameError
 from armcell.model.untrusted_files import read_yaml
 

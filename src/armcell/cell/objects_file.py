@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from armcell.cell.schema import CellSpec, FrictionSpec, ObjectSpec, ShapeSpec, validated
+from armcell.cell.schema import CellSpec, FrictionSpec, ObjectSpec, ShapeSpec
+from armcell.cell.validation import validated
 from armcell.core import (
     SE3,
     InputError,

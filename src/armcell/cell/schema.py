@@ -1,9 +1,8 @@
-"""The schema of the cell file (cell.yaml); error messages name the file and the key."""
+"""The schema of the cell file (cell.yaml)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -13,13 +12,12 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
-    ValidationError,
     create_model,
     field_validator,
     model_validator,
 )
 
-from armcell.core import InputError, ShapeKind, UnknownNameError, shapes
+from armcell.core import ShapeKind, shapes
 
 Range = tuple[float, float]
 
@@ -71,6 +69,11 @@ class SomeShape(_Sized, Strict):
         if not found:
             return data
         return {**{k: v for k, v in data.items() if k not in found}, "package_shape": found}
+
+    @classmethod
+    def known_keys(cls) -> list[str]:
+        """Return the keys of a shape specification in a cell file, with the shapes of installed packages."""
+        return [k for k in cls.model_fields if k != "package_shape"] + [k for k in shapes if k not in _SIZED]
 
     def given(self) -> dict[str, Any]:
         """Return the shape keys and their values in a shape specification of a cell file."""
@@ -442,63 +445,3 @@ class CellSpec(Strict):
         if self.task and self.script is not None:
             raise ValueError("has a task and a script: give one or the other")
         return self
-
-
-def validated(data: dict[str, Any], file: Path) -> CellSpec:
-    """Validate a parsed cell file against the schema and return the cell's specification.
-
-    Raises:
-        InputError: the file is invalid; the error has the file, the key and the reason of the first fault.
-    """
-    try:
-        return CellSpec.model_validate(data)
-    except ValidationError as error:
-        errors = error.errors(include_url=False)
-        # report a mistyped key first: it often causes the other errors
-        first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
-        parts = [str(part) for part in first["loc"]]
-        place = "/".join(part for part in parts if not part.startswith("<")) or "top level"  # tags of unions
-        if first["type"] == "extra_forbidden":
-            known = _known_keys(first["loc"])
-            if known:
-                raise UnknownNameError("key", first["loc"][-1], known, file=file, element=place) from None
-        more = len(errors) - 1
-        reason = first["msg"].removeprefix("Value error, ") + (f" (and {more} more)" if more else "")
-        hint = f"{first['input']} is not a finite number" if first["type"] == "finite_number" else None
-        raise InputError(reason, file=file, element=place, hint=hint) from None
-
-
-def _shape_keys(model: type[SomeShape]) -> list[str]:
-    return [k for k in model.model_fields if k != "package_shape"] + [k for k in shapes if k not in _SIZED]
-
-
-def _known_keys(location: tuple) -> list[str]:
-    """Return the keys that the schema allows at the place in a cell file where an unknown key was found."""
-    tables = {
-        "randomize": RandomSpec,
-        "cameras": CameraSpec,
-        "markers": MarkerSpec,
-        "controllers": ControllerSpec,
-        "robot": RobotSpec,
-        "ros": RosSpec,
-        "task": StepSpec,
-    }
-    if len(location) == 1:
-        return list(CellSpec.model_fields)
-    if "<both>" in location:
-        return list(FrictionSpec.model_fields)
-    if "shapes" in location:
-        return _shape_keys(ShapeSpec)
-    if location[0] == "perception":
-        return list(PerceptionSpec.model_fields)
-    if location[0] == "drop":
-        return list(DropSpec.model_fields)
-    if location[0] == "disturbances":
-        block = {"pushes": PushSpec, "moved": DisplacementSpec}.get(str(location[1]), DisturbanceSpec)
-        return list(block.model_fields)
-    if "place" in location:
-        return list(PlaceSpec.model_fields)
-    if location[0] == "objects":
-        return _shape_keys(ObjectSpec)
-    model = tables.get(str(location[0]))
-    return list(model.model_fields) if model else []

@@ -12,7 +12,8 @@ import yaml
 
 from armcell.cell.cameras import noise_of
 from armcell.cell.cell import Cell
-from armcell.cell.schema import CellSpec, DisturbanceSpec, NoiseSpec, validated
+from armcell.cell.schema import CellSpec, DisturbanceSpec, NoiseSpec
+from armcell.cell.validation import validated
 from armcell.core import InputError, UnknownNameError
 from armcell.model.untrusted_files import yaml_value
 from armcell.sim import PhysicsSettings

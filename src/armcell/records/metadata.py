@@ -10,7 +10,7 @@ from typing import Any
 
 from armcell.cell import Cell, cell_names, content_hashes, load
 from armcell.cell.cell_hashes import versions
-from armcell.cell.schema import validated
+from armcell.cell.validation import validated
 from armcell.core import InputError
 
 FORMAT = 1
