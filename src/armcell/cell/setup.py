@@ -9,7 +9,7 @@ from typing import Any
 
 from armcell.cell.gripper_proof import GripperProof, with_proven_grippers
 from armcell.cell.setup_poses import with_poses
-from armcell.collision.kernel.robot_arrays import fit_links
+from armcell.collision.kernel.link_bodies import fit_links
 from armcell.collision.self_collision import LinkPair, link_pairs
 from armcell.core import InputError
 from armcell.model import Gripper, Joint, RobotModel, SuctionGripper

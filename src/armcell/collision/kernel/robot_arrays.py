@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
@@ -21,23 +20,20 @@ from armcell.collision.kernel.bodies import (
     Body,
     PlacedBody,
     held_body,
-    link_body,
-    narrow_gaps,
 )
+from armcell.collision.kernel.chain import REVOLUTE_KIND, Branches, Chain
 from armcell.collision.kernel.convex_pieces import ConvexPieces, concatenate
+from armcell.collision.kernel.link_bodies import fine_links, links_of
 from armcell.collision.kernel.lru_cache import LruCache
 from armcell.core import SO3, Mesh
 from armcell.kinematics import kinematic_tree
 from armcell.kinematics.tree import REVOLUTE
-from armcell.model import Link, RobotModel
+from armcell.model import Link
 from armcell.scene import PlanningScene
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
-Branches = tuple[list[int], list[int]]
-
-REVOLUTE_KIND = 1  # as in frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,24 +47,8 @@ class RobotPart:
     pieces: ConvexPieces
 
 
-@dataclass(frozen=True, eq=False)
-class _Chain:
-    """Kinematic chain of a planning group in the kernel.
-    It contains the frames that the group's joints move; all others are fixed.
-
-    Attributes:
-        above: for each frame, the frames from the world's child down to it.
-        arm: distance [m] from the origin of each frame's parent to its own origin.
-        arrays: the frames in the format of a `Pack`.
-    """
-
-    above: list[list[int]]
-    arm: list[float]
-    arrays: dict[str, Any]
-
-
 _parts: LruCache[RobotPart] = LruCache(8)
-_chains: LruCache[_Chain] = LruCache(32)
+_chains: LruCache[Chain] = LruCache(32)
 _held: LruCache[Body] = LruCache(512)
 _placed: LruCache[PlacedBody] = LruCache(512)
 _pieces_joined: LruCache[ConvexPieces] = LruCache(32)
@@ -130,45 +110,33 @@ class _Builder:
     # --- kinematics: only the group's joints remain, all others are merged ---
     def _frames(self) -> None:
         tree = self.tree
-        self.parent, self.fixed, self.kind, self.column = [0], [np.eye(4)[:3].ravel()], [0], [0]
-        self.multiplier, self.offset = [1.0], [0.0]
+        parent, fixed, kind, column = [0], [np.eye(4)[:3].ravel()], [0], [0]
+        multiplier, offset = [1.0], [0.0]
         self.of_link = {0: (0, np.eye(4))}  # link -> frame, T_frame_link
         self.adjustable: set[int] = set()  # links that a joint outside the group moves within their frame
         # (the frame may be the world)
         relative = tree.joint_transforms(self.scene.positions)
         for j in range(len(tree.parent)):
             frame, T = self.of_link[int(tree.parent[j])]
-            column = self.columns.get(int(tree.column[j])) if tree.kind[j] else None
-            if column is None:  # the group does not move this joint, so it keeps its current position
+            moved_by = self.columns.get(int(tree.column[j])) if tree.kind[j] else None
+            if moved_by is None:  # the group does not move this joint, so it keeps its current position
                 self.of_link[j + 1] = (frame, T @ relative[j])
                 if tree.kind[j] or int(tree.parent[j]) in self.adjustable:
                     self.adjustable.add(j + 1)
                 continue
             A = _turned_to_z(*tree.axis[j].tolist())
-            self.parent.append(frame)
-            self.fixed.append((T @ tree.T_parent_joint[j] @ A)[:3].ravel())
-            self.kind.append(REVOLUTE_KIND if tree.kind[j] == REVOLUTE else 2)
-            self.column.append(column)
-            self.multiplier.append(float(tree.multiplier[j]))
-            self.offset.append(float(tree.offset[j]))
-            self.of_link[j + 1] = (len(self.parent) - 1, A.T)
-        fixed = np.array(self.fixed)
-        key = (self.model, self.joint_names, fixed.tobytes())
-        self.chain = _chains.get(key, lambda: self._chain(fixed))
-
-    def _chain(self, fixed: F64) -> _Chain:
-        above: list[list[int]] = [[]]
-        for f in range(1, len(self.parent)):
-            above.append([*above[self.parent[f]], f])
-        arrays = {
-            "parent": np.array(self.parent, np.int32),
-            "fixed": fixed.astype(np.float32).reshape(-1, 12),
-            "kind": np.array(self.kind, np.int32),
-            "column": np.array(self.column, np.int32),
-            "multiplier": np.array(self.multiplier, np.float32),
-            "offset": np.array(self.offset, np.float32),
-        }
-        return _Chain(above, [math.hypot(*T[[3, 7, 11]]) for T in self.fixed], arrays)
+            parent.append(frame)
+            fixed.append((T @ tree.T_parent_joint[j] @ A)[:3].ravel())
+            kind.append(REVOLUTE_KIND if tree.kind[j] == REVOLUTE else 2)
+            column.append(moved_by)
+            multiplier.append(float(tree.multiplier[j]))
+            offset.append(float(tree.offset[j]))
+            self.of_link[j + 1] = (len(parent) - 1, A.T)
+        poses = np.array(fixed)
+        key = (self.model, self.joint_names, poses.tobytes())
+        self.chain = _chains.get(
+            key, lambda: Chain(self.model, self.joint_names, parent, poses, kind, column, multiplier, offset)
+        )
 
     # --- bodies ---
     def _bodies(self) -> tuple[list[tuple[str, int]], dict[str, Any], ConvexPieces]:
@@ -179,7 +147,7 @@ class _Builder:
         # a grasp: computing for each new pose which bodies they can meet takes longer than it saves.
         self.placed_for_good: list[bool] = []
         padding: list[float] = []
-        for name, link, body in _links_of(self.model, tuple(sorted(scene.link_scale.items()))):
+        for name, link, body in links_of(self.model, tuple(sorted(scene.link_scale.items()))):
             frame, T = self.of_link[link]
             bodies.append((name, frame))
             placed.append((body, T))
@@ -263,7 +231,7 @@ class _Builder:
             return _all_meet(len(self.owns[i].groups), len(self.owns[j].groups))
 
         def look() -> _Meeting:
-            branches, columns = self._between(f, e)
+            branches, columns = self.chain.between(f, e)
             if len(columns) > near_groups.MAX_JOINTS:
                 return _all_meet(len(self.owns[i].groups), len(self.owns[j].groups))
             found = near_groups.cached_near_groups(*self._relative_motion(branches, columns, arrays, i, j))
@@ -271,28 +239,9 @@ class _Builder:
 
         return _meetings.get((self.chain, f, e, self.placed[i], self.placed[j]), look)
 
-    def _branches(self, f: int, e: int) -> Branches:
-        """Return the two chains of kernel frames that lead from the last common ancestor of two robot bodies
-        to each of the bodies.
-
-        The common frame itself is not included.
-        """
-        a, b = self.chain.above[f], self.chain.above[e]
-        common = 0
-        while common < min(len(a), len(b)) and a[common] == b[common]:
-            common += 1
-        return a[common:], b[common:]
-
-    def _between(self, f: int, e: int) -> tuple[Branches, list[int]]:
-        """Return the branches of kernel frames that lead to two robot bodies (see `_branches`), and the
-        columns of the joints that move these frames.
-        """
-        branches = self._branches(f, e)
-        return branches, sorted({self.column[frame] for branch in branches for frame in branch})
-
     def _relative_motion(
         self,
-        branches: tuple[list[int], list[int]],
+        branches: Branches,
         columns: list[int],
         arrays: dict[str, Any],
         i: int,
@@ -308,28 +257,17 @@ class _Builder:
             ends = arrays["group_spheres"][first : end + 1]
             groups = arrays["group_sphere"][first:end].astype(float)
             spheres = arrays["sphere"][ends[0] : ends[-1]].astype(float)
-            reach = self._group_reach(branch, columns, groups)
+            reach = self.chain.group_reach(branch, columns, groups)
             bodies.append(
                 near_groups.SphereGroups(np.array(branch, np.int64), reach, groups, ends - ends[0], spheres)
             )
+        chain = self.chain
         frames = near_groups.Frames(
-            np.array(self.fixed), np.array(self.kind), np.array(self.multiplier), np.array(self.offset),
-            np.array([place.get(c, 0) for c in self.column]),
+            chain.fixed, np.array(chain.kind), np.array(chain.multiplier), np.array(chain.offset),
+            np.array([place.get(c, 0) for c in chain.column]),
         )  # fmt: skip
-        lower, upper, _ = self._ranges(columns)
+        lower, upper, _ = self.chain.ranges(columns)
         return bodies[0], bodies[1], frames, lower - near_groups.BEYOND, upper + near_groups.BEYOND
-
-    def _ranges(self, columns: list[int]) -> tuple[F64, F64, NDArray[np.bool_]]:
-        """Return the lower and upper limits (k,) [rad or m] of joint variables, and whether they turn: the
-        values of such a joint repeat after one turn, so its limits are -pi and pi.
-        """
-        lower, upper, turns = np.zeros(len(columns)), np.zeros(len(columns)), np.zeros(len(columns), bool)
-        for k, c in enumerate(columns):
-            joint = self.model.joints[self.joint_names[c]]
-            low, high = joint.limits.lower, joint.limits.upper
-            turns[k] = not np.isfinite(high - low) or (high - low > 2 * np.pi and joint.type != "prismatic")
-            lower[k], upper[k] = (-np.pi, np.pi) if turns[k] else (low, high)
-        return lower, upper, turns
 
     def _gap_table(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any], i: int, j: int
@@ -337,7 +275,7 @@ class _Builder:
         """Return the gap table of two robot bodies, or None if more than two joints move them relative to
         each other, or if their sphere covers decide about them. The tables are cached on disk.
         """
-        branches, columns = self._between(bodies[i][1], bodies[j][1])
+        branches, columns = self.chain.between(bodies[i][1], bodies[j][1])
         links = [self.model.links[bodies[b][0]] for b in (i, j) if bodies[b][0] in self.model.links]
         if (
             not (self.placed_for_good[i] and self.placed_for_good[j])
@@ -347,13 +285,13 @@ class _Builder:
             return None
         motion = self._relative_motion(branches, columns, arrays, i, j)
         two = 2 - len(columns)  # a missing second joint has no range
-        lower, upper, turns = self._ranges(columns)
+        lower, upper, turns = self.chain.ranges(columns)
         reach = sum(
-            self._axis_reach(branch, columns, body.spheres)
+            self.chain.axis_reach(branch, columns, body.spheres)
             for branch, body in zip(branches, motion[:2], strict=True)
         )
         ranges = gap_tables.JointRanges(*(np.pad(a, (0, two)) for a in (lower, upper, turns, reach)))
-        fine = _fine_links(self.model)
+        fine = fine_links(self.model)
         undecided = sum(FINE_OVERSHOOT if bodies[b][0] in fine else LINK_OVERSHOOT for b in (i, j))
         key = key_of(repr((gap_tables.VERSION, undecided)), *motion[0], *motion[1], *motion[2], *ranges)
 
@@ -375,53 +313,6 @@ class _Builder:
             return None
         return _PairGaps(gaps, (columns[0], columns[-1]), gap_tables.grid(ranges, gaps.shape))
 
-    def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
-        """Return, for the robot's kernel arrays, upper bounds (groups, columns) on how far [m] each sphere
-        group of a body moves per unit [rad or m] of each joint variable. Each column belongs to one joint
-        variable.
-
-        The bounds are like those of `_reach`.
-
-        Args:
-            branch: frames from the common frame down to the body's frame.
-            columns: joint columns of the result.
-            groups: (g, 4) spheres in the body's frame.
-        """
-        radius = np.linalg.norm(groups[:, :3], axis=1) + groups[:, 3]
-        reach = np.zeros((len(groups), len(columns)))
-        for frame in reversed(branch):
-            m, c = abs(self.multiplier[frame]), columns.index(self.column[frame])
-            if self.kind[frame] == REVOLUTE_KIND:
-                reach[:, c] += m * radius
-            else:
-                reach[:, c] += m
-                radius = radius + m * self._span(frame) + abs(self.offset[frame])
-            radius = radius + self.chain.arm[frame]
-        return reach
-
-    def _axis_reach(self, branch: list[int], columns: list[int], spheres: F64) -> F64:
-        """Return upper bounds (columns,) on how far a robot body moves per unit of each joint variable. For
-        one or two revolute joints, they are the largest distances from the joint axes, which is tighter than
-        `_group_reach`.
-
-        Args:
-            branch: frames from the common frame down to the body's frame.
-            columns: joint columns of the result.
-            spheres: (s, 4) spheres that cover the body, in its frame.
-        """
-        if len(branch) > 2 or any(self.kind[frame] != REVOLUTE_KIND for frame in branch):
-            return self._group_reach(branch, columns, spheres).max(axis=0)
-        reach = np.zeros(len(columns))
-        around = np.linalg.norm(spheres[:, :2], axis=1) + spheres[:, 3]  # of the last joint's axis, z
-        for frame in reversed(branch):
-            reach[columns.index(self.column[frame])] += abs(self.multiplier[frame]) * around.max()
-            T_parent = np.reshape(self.fixed[frame], (3, 4))
-            on_axis = (
-                T_parent[:, 3] + spheres[:, 2:3] * T_parent[:, 2]
-            )  # of each sphere, in the parent's frame
-            around = np.linalg.norm(on_axis[:, :2], axis=1) + around
-        return reach
-
     # --- motion bounds ---
     def _reach(self, bodies: list[tuple[str, int]]) -> F64:
         """Return upper bounds (bodies, dof) on how far each robot body in
@@ -431,30 +322,9 @@ class _Builder:
         for k, ((_, frame), body) in enumerate(zip(bodies, self.placed, strict=True)):
             if frame > 0:
                 reach[k] = _reaches.get(
-                    (self.chain, frame, body), partial(self._reach_of, frame, body.around)
+                    (self.chain, frame, body), partial(self.chain.reach, frame, body.around)
                 )
         return reach
-
-    def _reach_of(self, frame: int, around: F32) -> F64:
-        reach = np.zeros(self.dof)
-        radius = float(np.linalg.norm(around[:3]) + around[3])
-        while frame > 0:
-            m, c = abs(self.multiplier[frame]), self.column[frame]
-            if self.kind[frame] == REVOLUTE_KIND:
-                reach[c] += m * radius
-            else:
-                reach[c] += m
-                radius += m * self._span(frame) + abs(self.offset[frame])
-            radius += self.chain.arm[frame]
-            frame = self.parent[frame]
-        return reach * (1 + 1e-6)
-
-    def _span(self, frame: int) -> float:
-        """Return the largest absolute position [rad or m] within the limits of a joint. The joint is given by
-        the frame that it moves in the collision kernel.
-        """
-        limits = self.model.joints[self.joint_names[self.column[frame]]].limits
-        return max(abs(limits.lower), abs(limits.upper))
 
     def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
         """Return upper bounds (pairs, dof) on how far the bodies of a pair move
@@ -464,19 +334,8 @@ class _Builder:
         """
         key = (self.chain, tuple(frame for _, frame in bodies), pairs.tobytes())
         i, j = pairs.T
-        moves = _moving.get(key, lambda: self._moves([frame for _, frame in bodies], i, j))
+        moves = _moving.get(key, lambda: self.chain.moves([frame for _, frame in bodies], i, j))
         return np.where(moves, reach[i] + reach[j], 0.0)
-
-    def _moves(self, frames: list[int], i: I32, j: I32) -> NDArray[np.bool_]:
-        """Return a mask (pairs, dof) for the robot's kernel arrays: which joints move the two bodies of a
-        pair relative to each other.
-        """
-        above = np.zeros((len(frames), len(self.parent)), bool)
-        for k, frame in enumerate(frames):
-            above[k, self.chain.above[frame]] = True
-        column = np.zeros((len(self.parent), self.dof))
-        column[np.arange(1, len(self.parent)), self.column[1:]] = 1.0
-        return (above[i] ^ above[j]) @ column > 0
 
 
 def _ends(sizes: Iterable[int]) -> I32:
@@ -522,13 +381,6 @@ def _triangles(link: Link) -> int:
     return sum(len(c.shape.faces) for c in link.collisions if isinstance(c.shape, Mesh))
 
 
-def _fine_links(model: RobotModel) -> set[str]:
-    """Return the robot links that need a fine sphere cover: the contact links of grippers, and base links
-    with a narrow gap to another link.
-    """
-    return {f for g in model.grippers.values() for f in g.contact_links} | narrow_gaps(model)
-
-
 @dataclass(frozen=True, eq=False)
 class _PairGaps:
     """Gap table of a pair of robot bodies: the gaps (n1, n2), the columns of the one or two joints that move
@@ -557,36 +409,6 @@ def _joined_gap_tables(tables: list[_PairGaps | None]) -> dict[str, Any]:
 @lru_cache(maxsize=1024)
 def _all_meet(g: int, h: int) -> _Meeting:
     return _Meeting.of(np.ones((g, h), np.bool_))
-
-
-@lru_cache(maxsize=32)
-def _links_of(model: RobotModel, scales: tuple[tuple[str, float], ...]) -> tuple[tuple[str, int, Body], ...]:
-    """Return the name, index and kernel body of each link with a collision shape."""
-    scale_of, tree = dict(scales), kinematic_tree(model)
-    return tuple(
-        (link.name, tree.link_index[link.name], link_body(link, scale_of.get(link.name, 1.0), overshoot))
-        for link, overshoot in _overshoots(model)
-    )
-
-
-def fit_links(model: RobotModel) -> Iterator[float]:
-    """Compute the sphere covers and convex pieces of a robot's links, which take most of the time of the
-    robot's first checker, and keep them in the cache. Yield the finished share of the links.
-    """
-    links = _overshoots(model)
-    for count, (link, overshoot) in enumerate(links, 1):
-        link_body(link, 1.0, overshoot)
-        yield count / len(links)
-
-
-def _overshoots(model: RobotModel) -> list[tuple[Link, float]]:
-    """Return the links with collision shapes, and how far [m] the spheres of each may extend beyond it."""
-    fine = _fine_links(model)
-    return [
-        (link, FINE_OVERSHOOT if link.name in fine else LINK_OVERSHOOT)
-        for link in model.links.values()
-        if link.collisions
-    ]
 
 
 def _near_tables(body_groups: I32, pairs: I32, meeting: list[_Meeting]) -> dict[str, I32]:
