@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -12,29 +11,28 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.core import SE3, ArmcellError, InputError, JointState, StateSample, UnknownNameError
+from armcell.core import SE3, InputError, JointState, StateSample, UnknownNameError
 from armcell.core.checks import float_array
 from armcell.core.joints import all_finite
 from armcell.kinematics import kinematic_tree
-from armcell.model import RobotModel
 from armcell.model.mjcf.spec import log_mujoco_warnings
 from armcell.scene import PlanningScene
 from armcell.sim.camera import Camera
-from armcell.sim.contacts import ContactMonitor, PhysicsContact, hand_wrench, read_contacts
+from armcell.sim.contacts import ContactMonitor, hand_wrench
 from armcell.sim.decals import Decal
 from armcell.sim.gripper_servos import GripperState, gripper_state
 from armcell.sim.model_pool import lease_model
-from armcell.sim.mujoco_model import BuiltModel, body_pose, relative_pose, same_build, scene_objects
-from armcell.sim.objects import Array, FixedBodyPoses, Poses, write_free
+from armcell.sim.mujoco_model import BuiltModel, relative_pose, same_build, scene_objects
+from armcell.sim.objects import Array, Poses, write_free
 from armcell.sim.servo import JointTargets
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.stepper import Stepper
 from armcell.sim.welds import WeldEvent
+from armcell.sim.world_state import Closed, WorldState
 
 log = logging.getLogger(__name__)
 
 BLOCKED = 1e5  # [Nm s/rad or N s/m] damping of a blocked joint: 300 Nm turn it at 0.2 deg/s
-CLOSED = "the simulation is closed: read its results inside the 'with' block"
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
@@ -54,14 +52,7 @@ class WorldSnapshot:
     watches: dict
 
 
-class _Closed:
-    """Placeholder for the model and data of a closed simulated world. Any access raises an error."""
-
-    def __getattr__(self, name: str) -> Any:
-        raise ArmcellError(CLOSED)
-
-
-class SimWorld:
+class SimWorld(WorldState):
     """Simulated world: the physics of one planning scene in MuJoCo. All poses are in the world frame.
 
     The world frame is the frame of the robot's root link. The simulation is deterministic and advances only
@@ -90,18 +81,13 @@ class SimWorld:
         self.decals = tuple(decals)
         self.cameras = {camera.name: camera for camera in cameras}
         self.seed = seed
-        self.lock = threading.RLock()
+        super().__init__()
         self._build(scene)
         self.reset()
 
     def _build(self, scene: PlanningScene) -> None:
         log_mujoco_warnings()
-        self._lease = lease_model(scene, self.settings)  # drops an earlier lease, which snapshots may need
-        self.built, self._data = self._lease.built, self._lease.data
-        self.robot: RobotModel = scene.model
-        self._mj: mujoco.MjModel | None = self.built.mj
-        self._fixed = FixedBodyPoses(self.mj_model)
-        self._behind = False  # whether the body poses in `_data` are those before the last step
+        self._open(lease_model(scene, self.settings))  # drops an earlier lease, which snapshots may need
         self._tree = kinematic_tree(scene.model)
         self._stepper = Stepper(self.built, self.settings, self._data)
         self._driven = {j: n for n, g in self.built.grippers.items() for j in g.gripper.joint_names}
@@ -114,16 +100,8 @@ class SimWorld:
         Closing is optional, but lets the next world of such a scene reuse the memory.
         """
         with self.lock:
-            self._mj = None
-            self._data = self.built = self._fixed = self._stepper = cast(Any, _Closed())
-            self._behind = False
-            self._lease.release()
-
-    def __enter__(self) -> SimWorld:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
+            self._stepper = cast(Any, Closed())
+            super().close()
 
     def reset(self, scene: PlanningScene | None = None) -> None:
         """Reset the simulated world to a planning scene: time 0, at rest, and without records.
@@ -156,33 +134,7 @@ class SimWorld:
         """
         return self._stepper.monitor
 
-    @property
-    def mj_model(self) -> mujoco.MjModel:
-        if self._mj is None:
-            raise ArmcellError(CLOSED)
-        return self._mj
-
-    @property
-    def mj_data(self) -> mujoco.MjData:
-        if self._behind:
-            with self.lock:
-                mujoco.mj_kinematics(self.mj_model, self._data)
-                self._behind = False
-        return self._data
-
-    @property
-    def mj_state(self) -> mujoco.MjData:
-        """Return MuJoCo's data (`MjData`) as the last step left them: joint states and forces are current,
-        but body poses may be one step old. Use `mj_data` for current body poses.
-        """
-        return self._data
-
     # --- time ---
-    @property
-    def time(self) -> float:
-        """Return the time [s] in the simulated world since the last reset."""
-        return self._data.time
-
     @property
     def timestep(self) -> float:
         return float(self.settings.timestep)
@@ -246,20 +198,6 @@ class SimWorld:
         return errors.item(worst), worst
 
     # --- robot ---
-    def joint_state(self) -> JointState:
-        """Return the state of the robot's actuated joints in the simulated world, in model order.
-
-        Efforts include the gravity compensation of the arm.
-        """
-        data, built = self._data, self.built
-        return JointState.unchecked(
-            self.robot.joint_names,
-            data.qpos[built.qpos],
-            data.qvel[built.dofs],
-            data.qfrc_actuator[built.dofs] + data.qfrc_gravcomp[built.dofs],
-            data.time,
-        )
-
     def set_arm_target(
         self, joint_names: Sequence[str], positions: ArrayLike, velocities: ArrayLike | None = None
     ) -> None:
@@ -373,11 +311,6 @@ class SimWorld:
             raise UnknownNameError("gripper", name, self.built.grippers)
         return self.built.grippers[name]
 
-    def link_pose(self, link: str) -> SE3:
-        """Return the pose T_world_link of a robot link in the simulated world."""
-        self.robot.link(link)
-        return body_pose(self.mj_data, self.built.body[link])
-
     def set_positions(self, q: ArrayLike) -> None:
         """Place the robot in the simulated world at positions q (dof,) and at rest,
         instead of moving it there.
@@ -403,28 +336,6 @@ class SimWorld:
         mujoco.mj_forward(self.mj_model, data)
 
     # --- objects ---
-    def object_pose(self, name: str) -> SE3:
-        """Return the pose T_world_object of an object in the simulated world."""
-        self._object(name)
-        return body_pose(self.mj_data, self.built.body[name])
-
-    def object_poses(self) -> dict[str, SE3]:
-        """Return the poses T_world_object of all movable objects in the simulated world, by name."""
-        return {name: self.object_pose(name) for name in self.built.moving}
-
-    def object_twist(self, name: str) -> Array:
-        """Return the twist (6,) of an object in the simulated world: linear [m/s], angular [rad/s].
-
-        The linear velocity is that of the object's origin.
-        """
-        self._object(name)
-        start = self.built.object_dof.get(name)
-        if start is None:
-            return np.zeros(6)
-        velocity = self.mj_data.qvel[start : start + 6].copy()
-        velocity[3:] = self.object_pose(name).rotation.matrix @ velocity[3:]  # qvel has the body frame here
-        return velocity
-
     def set_object_pose(self, name: str, T_world_object: SE3) -> None:
         """Place an object in the simulated world, at rest. A fixed object stays there until a reset.
 
@@ -446,25 +357,7 @@ class SimWorld:
             self._stepper.forget()
             mujoco.mj_forward(self.mj_model, self.mj_data)
 
-    def _object(self, name: str) -> None:
-        if name not in self.built.objects:
-            raise UnknownNameError("object", name, self.built.objects)
-
     # --- the whole ---
-    def scene(self) -> PlanningScene:
-        """Return the current state of the simulated world as a planning scene.
-
-        The scene's positions are clipped to the joint limits, which physics treats as soft. Objects that were
-        attached in the initial scene are ordinary objects in the returned scene.
-        """
-        scene, moving, body, fixed = self.built.scene, self.built.moving, self.built.body, self._fixed
-        q = np.clip(self.mj_data.qpos[self.built.qpos], self.robot.lower, self.robot.upper)
-        objects = {
-            name: item.at(self.object_pose(name)) if name in moving or fixed.has_moved(body[name]) else item
-            for name, item in self.built.objects.items()
-        }
-        return replace(scene, positions=q, objects=objects, attached={})
-
     def sample(self) -> StateSample:
         """Return the state of joints, objects and grippers in the simulated world, for observers."""
         grippers = {name: self.gripper_state(name) for name in self.built.grippers}
@@ -475,10 +368,6 @@ class SimWorld:
             gripper_width={name: state.width for name, state in grippers.items()},
             gripper_force={name: state.force_per_finger for name, state in grippers.items()},
         )
-
-    def contacts(self) -> list[PhysicsContact]:
-        """Return the contacts of the last step of the simulated world with body names, deepest first."""
-        return read_contacts(self.built, self.mj_data)
 
     # --- faults, and the state of a real robot ---
     def add_load(self, link: str, mass: float) -> None:
