@@ -9,7 +9,8 @@ from armcell.grasping import PushSettings, TopDownGraspSettings
 from armcell.tasks.settings import Speed
 
 _POSITIVE = (
-    "force", "lift", "above_floor", "resolution", "gap", "spot_radius", "pile", "max_age", "push_force",
+    "force", "lift", "above_floor", "resolution", "beside", "gap", "spot_radius", "pile", "max_age",
+    "push_force",
 )  # fmt: skip
 
 
@@ -23,6 +24,7 @@ class BinClearingSettings:
     above_floor: float = 0.007  # lower points belong to the floor
     resolution: float = 0.003  # cell size of the height map
     hand_room: float = 0.12  # mapped margin around the bin, for the back of the hand
+    beside: float = 0.16  # margin of the table around bin and tray that is searched for pieces
     gap: float = 0.012  # between the held object and the surface below when the fingers open
     spot_radius: float = 0.05  # radius of the low area around a release point
     pile: float = 0.10  # above the tray's floor; the tray is full if all points are higher
