@@ -211,16 +211,23 @@ def test_a_flat_thing_is_picked_though_the_depth_of_the_floor_is_noisy():
         assert outcome.evidence["cleared"] == 1 and not live.driver.unwanted_contacts()
 
 
-def with_bar(pose) -> Cell:
+def with_bar(pose, size=(0.16, 0.044, 0.044)) -> Cell:
     """The cell with one bar that is longer than the gripper opens."""
     data = with_things(box_1=(0.70, -0.32, 0.2195)).spec.model_dump(exclude_unset=True)
-    data["objects"]["box_1"] = {"box": (0.16, 0.044, 0.044), "pose": pose, "movable": True, "friction": 0.5}
+    data["objects"]["box_1"] = {"box": size, "pose": pose, "movable": True, "friction": 0.5}
     return Cell("bar", whole().file, validated(data, whole().file))
 
 
 @pytest.mark.long
-def test_a_bar_beside_a_wall_is_pushed_off_it_and_picked():
-    with with_bar((0.66, -0.528, 0.2425)).connect("sim", seed=0) as live:
+@pytest.mark.parametrize(
+    ("pose", "size"),
+    [
+        ((0.66, -0.528, 0.2425), (0.16, 0.044, 0.044)),
+        ((0.519, -0.30, 0.249), (0.06, 0.137, 0.06)),  # as tall as the fingers are long
+    ],
+)
+def test_a_bar_beside_a_wall_is_pushed_off_it_and_picked(pose, size):
+    with with_bar(pose, size).connect("sim", seed=0) as live:
         outcome = live.clear("bin", **CALL)
         assert outcome.ok, outcome.message
         assert outcome.evidence["pushes"] >= 1 and outcome.evidence["cleared"] == 1
@@ -237,6 +244,28 @@ def test_without_pushes_a_bar_beside_a_wall_stays():
 
 
 @pytest.mark.long
+def test_after_a_miss_the_other_piece_is_picked_first():
+    with two_things().connect("sim", seed=0) as live:
+        world, nearest = live.driver.world, []
+
+        def note_nearest() -> None:
+            hand = live.scene().frame_pose(live.model.gripper().tcp_link).translation
+            away = {
+                n: np.linalg.norm(world.object_pose(n).translation[:2] - hand[:2]) for n in ("box_1", "can_1")
+            }
+            nearest.append(min(away, key=away.__getitem__))
+
+        def take_away() -> None:
+            note_nearest()
+            world.set_object_pose(nearest[0], world.object_pose(nearest[0]).shifted(y=-0.07))
+
+        live.ctx.observers += [AtStage("approach", take_away), AtStage("approach", note_nearest, 2)]
+        outcome = live.clear("bin", **CALL)
+        assert outcome.ok, outcome.message
+        assert outcome.evidence["missed"] >= 1 and nearest[0] != nearest[1]
+
+
+@pytest.mark.long
 def test_pieces_beside_the_bin_are_picked_although_one_in_it_is_stuck():
     data = with_things(box_1=(0.70, -0.32, 0.2195), can_1=(0.62, 0.0, 0.2115)).spec
     data = data.model_dump(exclude_unset=True)
@@ -245,6 +274,18 @@ def test_pieces_beside_the_bin_are_picked_although_one_in_it_is_stuck():
         outcome = live.clear("bin", **CALL)
         assert outcome.code is ErrorCode.FAILURE and "1 in bin" in outcome.message
         assert [outcome.evidence[k] for k in ("cleared", "left", "beside")] == [1, 1, 0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("y", [-0.055, 0.0, 0.055])
+def test_a_flat_piece_between_bin_and_tray_is_seen(y):
+    """The arm at its home state hides the space beside the tray from the tray's camera."""
+    data = with_things(box_1=(0.70, -0.32, 0.2195)).spec.model_dump(exclude_unset=True)
+    data["objects"]["box_1"] = {"box": (0.048, 0.033, 0.013), "pose": (0.73, y, 0.217), "movable": True}
+    with Cell("between", whole().file, validated(data, whole().file)).connect("sim", seed=0) as live:
+        s = BinClearingSettings()
+        region = table_around(live.scene(), "bin", "work_table", ("bin", "tray"), s)
+        assert view_region(live.ctx, lambda: live.cameras["above_bin"].image(rgb=False), region, s).count == 1
 
 
 @pytest.mark.slow

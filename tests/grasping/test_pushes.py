@@ -78,6 +78,15 @@ def test_a_piece_with_room_on_all_sides_is_not_pushed():
 
 
 @pytest.mark.slow
+def test_the_palm_stays_above_a_piece_as_tall_as_the_fingers_are_long():
+    seen, labels, where = bin_with(BESIDE_WALL, height=0.06)
+    found = pushes_off_walls(seen, labels, where, 0.0, HAND)
+    assert found
+    palm = float(HAND.palm[:, 5].max())
+    assert all(push.T_object_tcp.translation[2] - palm > 0.06 + PushSettings().clearance for push in found)
+
+
+@pytest.mark.slow
 def test_an_earlier_push_comes_last():
     _, first = pushes(BESIDE_WALL)
     x, y, _ = first[0].T_object_tcp.translation

@@ -22,7 +22,7 @@ from armcell.tasks import (
     perform_all,
 )
 from armcell.tasks.stages import Close, Connect, MoveGripper, MoveStraight
-from armcell.tasks.stages.fingers import opened_in_transit
+from armcell.tasks.stages.fingers import finger_collision, opened_in_transit
 from armcell.tasks.steps import CommandGripper, ParallelMotions
 
 S = TaskSettings()
@@ -117,6 +117,21 @@ def test_fingers_open_in_transit_where_they_touch_nothing(panda):
     assert isinstance(step, ParallelMotions) and step.grips == (wide,)
     closing = CommandGripper("close", hand, 0.0, 20.0), motion
     assert opened_in_transit(narrow, closing) == closing
+
+
+def test_fingers_keep_the_padding_if_asked(panda):
+    """A post 2 mm beside the open finger: free, but not with a padding of 3 mm."""
+    scene, hand, _ = panda
+    narrow = scene.with_state(JointState((hand.joint_name,), np.array([hand.joint_position(0.01)])))
+    wide = CommandGripper("open", hand, 0.04, 20.0)
+
+    def contact(y: float, padded: bool) -> str:
+        at = narrow.frame_pose(hand.tcp_link) @ SE3.from_xyz(0.0, y, 0.0)
+        post = CollisionObject.single("post", Box(0.01, 0.01, 0.01), at)
+        return finger_collision(narrow.with_object(post).with_padding(0.003), [wide], padded=padded)
+
+    free = next(y for y in np.arange(0.02, 0.08, 0.0005) if not contact(y, False))
+    assert contact(free + 0.001, True) and not contact(free + 0.004, True)
 
 
 def test_it_is_performed_at_once(panda):

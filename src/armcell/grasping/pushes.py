@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 CLOSED = 0.002  # [m] opening of the hand while it pushes
 MOST_OUTLINE = 120  # points on a piece's outline
+PALM = 0.002  # [m] between the palm and the highest point of a piece, beyond the clearance
 TOUCHING = 2.5  # [cells] from an obstacle
 TOWARD = -0.2  # smallest cosine of a push with the direction away from the walls: others jam the piece
 
@@ -96,14 +97,10 @@ def pushes_off_walls(
     s = settings
     fingers = np.concatenate([hand.left, hand.right])
     tip_z = float(fingers[:, 5].max())
-    tip = floor + s.clearance
     length = tip_z - float(hand.palm[:, 5].max())
     wide = np.abs(fingers[:, [0, 3]]).max(), np.abs(fingers[:, [1, 4]]).max() + CLOSED / 2
     palm = np.abs(hand.palm[:, [0, 3]]).max(), np.abs(hand.palm[:, [1, 4]]).max()
-    tool, limits = (
-        np.array([*wide, *palm, s.room]),
-        np.array([tip - 0.5 * s.clearance, tip + length - s.clearance]),
-    )
+    tool = np.array([*wide, *palm, s.room])
     groups, count = label(labels >= 0, np.ones((3, 3)))  # type: ignore[misc]
     found: list[HeapPush] = []
     for k in range(1, count + 1):
@@ -111,8 +108,14 @@ def pushes_off_walls(
         outline, inward, middle, radius = _outline(seen, piece)
         if len(outline) < 3:
             continue
+        # near the floor, but the palm stays above the piece
+        tip = max(floor, float(seen.heights[piece].max()) + PALM - length + s.clearance) + s.clearance
+        limits = np.array([tip - 0.5 * s.clearance, tip + length - s.clearance])
         others = np.where(piece, floor, seen.heights)
-        room = np.asarray(distance_transform_edt((others <= limits[0]) & where)) * seen.resolution
+        room = (
+            np.asarray(distance_transform_edt((others <= floor + 0.5 * s.clearance) & where))
+            * seen.resolution
+        )
         away = _away(seen, room, outline)
         starts, alongs = _starts(outline, wide, s)
         free = alongs @ away > TOWARD

@@ -20,6 +20,11 @@ from armcell.grasping.hand import Hand
 
 Array = NDArray[np.float64]
 
+FLAT = 0.3  # height between the fingers per width: the fingers squeeze flatter pieces out
+MOVED = 0.10  # [m] by which a failed grasp may move the piece
+SAME_WIDTH = 0.007  # [m] difference of the widths that a camera measures on the same sides of a piece
+OTHER_PIECE, OTHER_KIND = 0.25, 0.5  # scores lost by grasps of a missed piece, and by similar ones
+
 
 @dataclass(frozen=True)
 @checked()
@@ -31,6 +36,7 @@ class TopDownGraspSettings:
     room: float = 0.009  # free space on each side of the piece, for errors of the map and the arm
     clearance: float = 0.005  # of the fingers above the cells below them
     least_hold: float = 0.006  # minimum height of the piece above the fingertips
+    least_grip: float = 0.2  # minimum height between the fingers per width, if the fingers could go deeper
     steepest: float = 0.45  # maximum tangent of a side's slant that friction holds
     least_touch: float = 0.3  # minimum fraction of the finger width in contact; less is a corner
     kept: int = 80  # maximum number of candidates
@@ -59,7 +65,7 @@ def top_down_grasps(
     hand: Hand,
     force: float,
     settings: TopDownGraspSettings = TopDownGraspSettings(),
-    avoid: Sequence[tuple[float, float, float]] = (),
+    avoid: Sequence[Grasp] = (),
 ) -> list[HeapGrasp]:
     """Return top-down grasp candidates for the pieces of a heap, sorted from best to worst. The hand
     approaches each piece from above.
@@ -68,7 +74,8 @@ def top_down_grasps(
         labels: (nx, ny) piece number of each cell, -1 for none.
         floor: [m, world z] height of the surface below the heap.
         force: [N] per finger, because the weight is unknown.
-        avoid: x, y [m], angle [rad] of failed grasps; candidates near them come last.
+        avoid: failed grasps. Each lowers the score of the candidates near it, most of those that would fail
+            in the same manner.
     Raises:
         InputError: the sizes of map and labels differ.
     """
@@ -92,7 +99,8 @@ def top_down_grasps(
         np.array([half, thick, length]), palm, gripper.max_width,
         np.array([s.room, s.clearance, s.least_hold]),
     )  # fmt: skip
-    rows = rows[(rows[:, 7] <= s.steepest) & (rows[:, 6] >= s.least_touch)]
+    firm = (rows[:, 8] >= s.least_grip * rows[:, 4]) | (rows[:, 2] <= floor + s.clearance)
+    rows = rows[firm & (rows[:, 7] <= s.steepest) & (rows[:, 6] >= s.least_touch)]
     if not len(rows):
         return []
     middles, radii = _pieces(seen, labels)
@@ -106,12 +114,13 @@ def top_down_grasps(
         (0.3 + 0.7 * rows[:, 6])
         * (1 - (rows[:, 7] / s.steepest) ** 2)
         * (0.3 + 0.7 * np.minimum(rows[:, 8], 0.03) / 0.03)
+        * np.minimum(rows[:, 8] / (FLAT * rows[:, 4]), 1.0)
         / (1 + (lever / 0.03) ** 2)
         + 2.0 * (rows[:, 9] - floor)  # topmost pieces first
     )
-    for x, y, failed in avoid:
-        near = np.linalg.norm(at - (x, y), axis=1) < 0.015
-        score -= 0.5 * (near & (np.abs(np.sin(turn - failed)) < 0.35))
+    for failed in avoid:
+        near, alike = _like(failed, at, turn, rows[:, 4])
+        score -= OTHER_PIECE * near + OTHER_KIND * (near & alike)
     found: list[HeapGrasp] = []
     taken = np.zeros((0, 4))
     for i in np.argsort(-score, kind="stable"):
@@ -133,6 +142,17 @@ def top_down_grasps(
         if len(found) == s.kept:
             break
     return found
+
+
+def _like(failed: Grasp, at: Array, turn: Array, width: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which top-down grasps (m,) of a heap are probably at the piece that a failed grasp missed, and
+    which of them resemble the failed grasp: the piece may have moved, but not changed its width.
+    """
+    T = failed.T_object_tcp
+    y = T.rotation.matrix[:, 1]
+    away = np.linalg.norm(at - T.translation[:2], axis=1)
+    beside = (away < 0.015) & (np.abs(np.sin(turn - np.arctan2(y[1], y[0]))) < 0.35)
+    return away < MOVED, beside | (np.abs(width - failed.width) < SAME_WIDTH)
 
 
 def _only_pieces(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from armcell.core import ErrorCode, InputError, NamedGoal, Outcome
 from armcell.grasping import (
+    Grasp,
     HeapGrasp,
     HeapPush,
     TopDownGraspSettings,
@@ -51,6 +50,7 @@ from armcell.tasks.stages.fingers import opened_in_transit
 from armcell.tasks.steps import CommandGripper, perform_all
 from armcell.tasks.task import plan_stages
 
+LIFTED = 0.02  # [m] of a lift that a retreat does not finish
 _FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, ErrorCode.FAILURE)
 
 
@@ -65,7 +65,7 @@ class BinClearingCounts:
     unplanned: int = 0  # looks without a reachable grasp
     pushes: int = 0  # pushes of a piece off a wall
     in_a_row: int = 0  # failures since the last success
-    avoid: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], turn [rad]
+    avoid: list[HeapGrasp] = field(default_factory=list)  # failed grasps
     pushed: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], direction [rad]
 
     def as_dict(self) -> dict[str, Any]:
@@ -129,6 +129,7 @@ class _BinClearing:
         ctx, s, counts = self.ctx, self.settings, self.counts
         left: dict[str, str] = {}  # regions set aside, with the number of pieces in each
         arm_is_away = False  # from the cameras' view
+        any_grasp = False  # whether to try even grasps that hold only the top of a piece
         while True:
             if ctx.cancel.is_set():
                 return self._end(ErrorCode.PREEMPTED, "cancelled")
@@ -139,20 +140,21 @@ class _BinClearing:
                     arm_is_away = True
                     continue
                 if here.ok and left:
-                    last = f"{s.most_misses} picks in a row brought nothing"
+                    last = f"at least {s.most_misses} picks in a row brought nothing"
                     return self._given_up(last, left.values())
                 return self._end(here.code, here.message)
             where = f"{here.count} {here.region.name}"
             if counts.picks >= s.most_picks:
                 last = f"{counts.picks} picks are all that was allowed"
                 return self._given_up(last, [*left.values(), where])
-            if counts.in_a_row >= s.most_misses:
+            if counts.in_a_row >= max(s.most_misses, s.tries_per_piece * here.count):
                 left[here.region.name] = where
                 counts.in_a_row = 0
                 continue
             add_heap(ctx, here)
             arm_is_away = False
-            pick = _PickFromHeap(self, here)
+            pick = _PickFromHeap(self, here, any_grasp)
+            any_grasp = False
             outcome = pick.run()
             if outcome.ok:
                 outcome = self._put(pick.grasp, here.region, tray, look_at_tray)
@@ -163,8 +165,11 @@ class _BinClearing:
                 continue
             counts.in_a_row += 1
             ctx.emit("note", f"clearing {self.bin}: {outcome.message}")
-            if outcome.code is ErrorCode.PLANNING_FAILED and len(counts.pushed) < s.most_pushes:
-                outcome = self._push(here)
+            if outcome.code is ErrorCode.PLANNING_FAILED:
+                if len(counts.pushed) < s.most_pushes:
+                    outcome = self._push(here)
+                any_grasp = not outcome.ok
+                counts.in_a_row -= outcome.ok  # the piece may have a grasp now
             if outcome.code in _FINAL:
                 return self._end(outcome.code, outcome.message)
 
@@ -196,15 +201,15 @@ class _BinClearing:
         counts.pushes += 1
         counts.pushed.append((*push.T_object_tcp.translation[:2].tolist(), push.angle))
         outcome = perform_all(ctx, opened_in_transit(ctx.scene(), solution.steps))
-        self.retreat(push.opening)
+        self.retreat(push)
         return outcome
 
     def _end(self, code: ErrorCode, message: str) -> Outcome:
         return Outcome(code, message, self.counts.as_dict())
 
-    def retreat(self, opening: float) -> None:
-        """Let `clear_bin` retreat the hand: open the fingers, move straight up as far as possible, and leave
-        the camera's view.
+    def retreat(self, grasp: Grasp) -> None:
+        """Let `clear_bin` retreat from a grasp: open the fingers, move straight up to the height of the
+        lift, or as far as possible, and leave the camera's view.
 
         The fingers open only if they press on an object, and at most to their opening [m] before the grasp:
         the hand or the neighboring pieces may have moved since.
@@ -213,10 +218,13 @@ class _BinClearing:
         detach_held(ctx)
         reading = ctx.driver.gripper(gripper.name)
         if holds(reading, s.thinnest):
-            width = min(reading.width + t.release_margin, opening)
+            width = min(reading.width + t.release_margin, grasp.opening)
             CommandGripper("open", gripper, width, gripper.max_force, t.release_settle).perform(ctx)
         touching = ((HEAP, gripper.hand_links), (self.bin, gripper.hand_links))
-        self._try_straight("retreat", s.lift, touching)
+        now = ctx.scene().frame_pose(gripper.tcp_link).translation
+        lifted = float(now[2] - grasp.T_object_tcp.translation[2])
+        if (rest := s.lift - lifted) > LIFTED:
+            self._try_straight("retreat", rest, touching)
         self._leave_view()
 
     def _try_straight(self, name: str, rise: float, allow: tuple[tuple[str, tuple[str, ...]], ...]) -> None:
@@ -285,7 +293,7 @@ class _BinClearing:
         """
         touching = ((HELD, (HEAP, self.bin)), (HEAP, self.gripper.hand_links))
         self._try_straight("lay back", self.settings.gap - self.settings.lift, touching)
-        self.retreat(grasp.opening)
+        self.retreat(grasp)
 
 
 class _PickFromHeap(Pick):
@@ -296,26 +304,26 @@ class _PickFromHeap(Pick):
 
     grasp: HeapGrasp  # the chosen grasp, after `plan`
 
-    def __init__(self, clearing: _BinClearing, here: RegionView):
+    def __init__(self, clearing: _BinClearing, here: RegionView, any_grasp: bool):
         super().__init__(f"pick {here.region.name}", lambda text: None)
-        self._clearing, self._here = clearing, here
+        self._clearing, self._here, self._any_grasp = clearing, here, any_grasp
 
     def plan(self) -> tuple[PartialSolution | None, Outcome]:
         ctx, gripper, s = self._clearing.ctx, self._clearing.gripper, self._clearing.settings
         counts, t = self._clearing.counts, ctx.settings
-        grasps = self._candidates()
-        if not grasps:
-            counts.unplanned += 1
-            text = f"{self._here.count} pieces {self._here.region.name}, the hand fits around none of them"
-            return None, Outcome(ErrorCode.PLANNING_FAILED, text)
-        stages = grasp_stages(
-            ChooseFromHeap(grasps, gripper, t.near, t.approach_distance), gripper, t,
-            CloseOnHeap(gripper, self._here.region.floor, t.grasp_settle, s.thinnest),
-            MoveStraight("lift", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, s.lift),
-                     allow=((HELD, (HEAP, self._clearing.bin)), (HEAP, gripper.hand_links))),
-            RunSteps("check grasp", (CheckObjectInFingers(gripper, s.thinnest),)),
-        )  # fmt: skip
-        solution, outcome = plan_stages(ctx, stages, self.label)
+        text = f"{self._here.count} pieces {self._here.region.name}, the hand fits around none of them"
+        solution, outcome = None, Outcome(ErrorCode.PLANNING_FAILED, text)
+        for grasps in self._candidates():
+            stages = grasp_stages(
+                ChooseFromHeap(grasps, gripper, t.near, t.approach_distance), gripper, t,
+                CloseOnHeap(gripper, self._here.region.floor, t.grasp_settle, s.thinnest),
+                MoveStraight("lift", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, s.lift),
+                         allow=((HELD, (HEAP, self._clearing.bin)), (HEAP, gripper.hand_links))),
+                RunSteps("check grasp", (CheckObjectInFingers(gripper, s.thinnest),)),
+            )  # fmt: skip
+            solution, outcome = plan_stages(ctx, stages, self.label)
+            if solution is not None:
+                break
         if solution is None:
             counts.unplanned += 1
         else:
@@ -324,31 +332,39 @@ class _PickFromHeap(Pick):
             solution = replace(solution, steps=opened_in_transit(ctx.scene(), solution.steps))
         return solution, outcome
 
-    def _candidates(self) -> list[HeapGrasp]:
-        """Return the candidate grasps of the visible objects for the next pick of `clear_bin`.
+    def _candidates(self) -> Iterator[list[HeapGrasp]]:
+        """Yield candidate grasps of the visible objects for the next pick of `clear_bin`, at first with the
+        full margin around the hand.
 
-        If there are none, the candidates near walls with a smaller margin around the hand are returned.
+        Candidates with smaller margins follow if no better candidate is reachable, or if the better ones
+        resemble failed grasps. As a last resort, candidates that hold only the top of a piece follow.
         """
         clearing, here = self._clearing, self._here
         s, hand = clearing.settings, hand_of(clearing.ctx.base.model, clearing.gripper)
-        for how in (s.grasps, _closer(s.grasps, 2), _closer(s.grasps, 3)):
-            grasps = top_down_grasps(
+        failed: list[HeapGrasp] = []
+        closest = _closer(s.grasps, 3)
+        last = (replace(closest, least_grip=0.0),) if self._any_grasp else ()
+        for how in (s.grasps, _closer(s.grasps, 2), closest, *last):
+            grasps = failed + top_down_grasps(
                 here.map, here.labels, here.region.floor, hand, s.force, how, clearing.counts.avoid
             )
-            if grasps:
-                return grasps
-        return []
+            grasps.sort(key=lambda grasp: -grasp.score)
+            if grasps and grasps[0].score > 0:
+                failed = []
+                yield grasps
+            else:
+                failed = grasps
+        if failed:
+            yield failed
 
     def perform(self, solution: PartialSolution) -> Outcome:
         return perform_all(self._clearing.ctx, solution.steps)
 
     def recover(self, outcome: Outcome) -> bool:
-        counts, T = self._clearing.counts, self.grasp.T_object_tcp
-        counts.missed += 1
-        y = T.rotation.matrix[:, 1]
-        at = float(T.translation[0]), float(T.translation[1])
-        counts.avoid.append((*at, float(np.arctan2(y[1], y[0]))))
-        self._clearing.retreat(self.grasp.opening)
+        clearing = self._clearing
+        clearing.counts.missed += 1
+        clearing.counts.avoid.append(self.grasp)
+        clearing.retreat(self.grasp)
         return False
 
 

@@ -9,7 +9,8 @@ from armcell.grasping import PushSettings, TopDownGraspSettings
 from armcell.tasks.settings import Speed
 
 _POSITIVE = (
-    "force", "lift", "above_floor", "resolution", "gap", "spot_radius", "pile", "max_age", "push_force",
+    "force", "lift", "above_floor", "resolution", "beside", "gap", "spot_radius", "pile", "max_age",
+    "push_force",
 )  # fmt: skip
 
 
@@ -23,12 +24,14 @@ class BinClearingSettings:
     above_floor: float = 0.007  # lower points belong to the floor
     resolution: float = 0.003  # cell size of the height map
     hand_room: float = 0.12  # mapped margin around the bin, for the back of the hand
+    beside: float = 0.16  # margin of the table around bin and tray that is searched for pieces
     gap: float = 0.012  # between the held object and the surface below when the fingers open
     spot_radius: float = 0.05  # radius of the low area around a release point
     pile: float = 0.10  # above the tray's floor; the tray is full if all points are higher
-    most_misses: int = 8  # maximum number of failed picks in a row
+    most_misses: int = 8  # maximum number of failed picks in a row, if few pieces are visible
+    tries_per_piece: int = 2  # failed picks in a row per visible piece, if many are visible
     most_picks: int = 60
-    most_pushes: int = 4  # maximum number of pushes in a row without a pick
+    most_pushes: int = 8  # maximum number of pushes in a row without a pick
     thinnest: float = 0.0005  # fingers closer together are empty; sheet metal is 1 mm thick
     max_age: float = 0.5  # [s] maximum age of an image
     grasps: TopDownGraspSettings = TopDownGraspSettings()
@@ -39,6 +42,6 @@ class BinClearingSettings:
     def __post_init__(self) -> None:
         for name in _POSITIVE:
             require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
-        for name in ("most_misses", "most_picks"):
+        for name in ("most_misses", "tries_per_piece", "most_picks"):
             require(getattr(self, name) >= 1, f"{name} is {getattr(self, name)}, it must be at least 1")
         require(self.most_pushes >= 0, f"most_pushes is {self.most_pushes}, it must not be negative")

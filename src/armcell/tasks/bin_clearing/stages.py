@@ -33,7 +33,7 @@ HELD = "held object"
 FREE = 0.008  # [m] opening beyond the held width at which an object has left the fingers
 MOVES = 3e-4  # [m] by which fingers that move open within `STOPPED`
 STOPPED = 0.1  # [s]
-WIDEST = 0.06  # [m] largest assumed half length of a held object
+WIDEST = 0.09  # [m] largest assumed half length of a held object
 
 
 @stage_types.register("choose_from_heap")
@@ -149,7 +149,7 @@ class ReleaseAboveTray:
             solution.scene.with_detached(HELD).without_object(HELD), ((HEAP, self.gripper.hand_links),)
         )
         grip = CommandGripper("open", self.gripper, width, self.gripper.max_force, self.settle)
-        if reason := finger_collision(scene, [grip]):
+        if reason := finger_collision(scene, [grip], padded=True):
             planning.reject(self.name, solution.data.get("candidate", ""), reason)
             return
         yield solution.then(

@@ -89,10 +89,12 @@ def table_around(
 ) -> WorkRegion:
     """Return the table surface around a bin or tray as a work region,
     without the areas of the other objects on the table.
+
+    The regions around two neighbors overlap, because the arm may hide the space between from one camera.
     """
     frame, size_x, size_y = support_surface(scene.object(table))
     half = np.abs(frame.rotation.matrix[:2, :2]) @ np.array([size_x, size_y]) / 2
-    (x0, y0), (x1, y1) = _outline(scene.object(name), s.hand_room)
+    (x0, y0), (x1, y1) = _outline(scene.object(name), s.beside)
     low = np.maximum(frame.translation[:2] - half, (x0, y0))
     high = np.minimum(frame.translation[:2] + half, (x1, y1))
     corner = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))

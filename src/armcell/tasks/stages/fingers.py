@@ -66,12 +66,14 @@ def opened_in_transit(scene: PlanningScene, steps: Sequence[Step]) -> tuple[Step
 
 
 def finger_collision(
-    scene: PlanningScene, grips: Sequence[CommandGripper], trajectory: JointTrajectory | None = None
-) -> str:
+    scene: PlanningScene, grips: Sequence[CommandGripper], trajectory: JointTrajectory | None = None,
+    padded: bool = False,
+) -> str:  # fmt: skip
     """Describe a contact that gripper fingers may cause while they move to the given widths.
     The text is empty if there is none.
 
-    The check holds for any finger speed and during an arm motion.
+    The check holds for any finger speed and during an arm motion. If `padded`, the fingers also keep the
+    scene's padding: the arm deviates slightly from its planned pose.
 
     Empty if the motion is certified collision-free.
     """
@@ -88,7 +90,7 @@ def finger_collision(
         _, arm, off = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
         points = np.hstack([arm, np.tile(middle, (len(arm), 1))])
         room, joints = np.concatenate([off, half]), trajectory.joint_names + names
-    proof = KernelChecker(scene.with_padding(0.0), joints).certify(points, room)
+    proof = KernelChecker(scene, joints).certify(points, room, padded)
     if proof.free:
         return ""
     what = proof.contact.describe() if proof.contact else "no contact found"
