@@ -49,6 +49,8 @@ def main() -> int:
     good = True
     for robot in given.robots:
         model = load_robot(robot)
+        if not model.grippers:
+            raise InputError(f"{robot} has no gripper", hint="set it up with `armcell setup --gripper`")
         counts = {kind: _trials(model, robot, kind, given.seeds) for kind in given.objects}
         row = _row(model, counts, given.seeds)
         print(row, flush=True)
