@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
-from armcell.collision.kernel.cover import _greedy, interior_points, small_triangles, triangulated
+from armcell.collision.kernel.cover import _greedy, fit, interior_points, small_triangles, triangulated
 from armcell.collision.kernel.triangle_tree import TriangleTree, distances
-from armcell.core import Box, Cone, Cylinder
+from armcell.core import Box, Cone, Cylinder, Mesh
 
 OVERSHOOT = 0.01
 
@@ -37,3 +38,18 @@ def test_balls_are_those_of_the_plain_greedy_choice(shape):
     expected, expected_held = chosen_plainly(elements, centers, reach2)
     assert balls.tolist() == expected
     assert np.array_equal(held, expected_held)
+
+
+def test_triangles_without_area_leave_no_gap():
+    """Vendors' meshes contain triangles without area. One of them, the first in the tree, once gave all balls
+    the radius NaN, and the planner did not see the link.
+    """
+    box = trimesh.creation.box((0.3, 0.2, 0.1))
+    low = box.bounds[0]
+    vertices = np.vstack([box.vertices, low - 1e-3, low])
+    faces = np.vstack([[[8, 8, 9]], box.faces])
+    cover = fit(Mesh(vertices, faces), OVERSHOOT)
+    points = box.sample(3000, seed=1)
+    apart = np.linalg.norm(points[:, None] - cover.centers[None], axis=2)
+    assert np.all((apart <= cover.outer).any(axis=1))
+    assert np.all(cover.inner <= 0.05 + 1e-9) and len(cover.centers) > 10

@@ -32,6 +32,18 @@ def test_distances_are_coals(name):
         assert distance == pytest.approx(expected + 1e-6, abs=2e-6)
 
 
+@pytest.mark.parametrize("corners", [(0, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 1, 2)])
+def test_triangles_without_area_come_first(corners):
+    """The search begins with the first triangle of the tree; its distance must be a number."""
+    along = np.array([[-1.0, -1.0, -1.0], [-1.0, -1.0, 0.0], [-1.0, -1.0, 1.0]])[list(corners)]
+    tree = TriangleTree.of(np.concatenate([along[None], trimesh.creation.box((0.5, 0.5, 0.5)).triangles + 9]))
+    assert tree.order[0] == 0
+    low, high = along[:, 2].min(), along[:, 2].max()
+    points = np.array([[-1.5, -1.0, -0.3], [-1.0, -1.4, -2.0], [-1.0, -1.0, 1.5], [-1.3, -1.4, -0.5]])
+    nearest = np.column_stack([points[:, 0] * 0 - 1, points[:, 1] * 0 - 1, np.clip(points[:, 2], low, high)])
+    assert distances(points, tree) == pytest.approx(np.linalg.norm(points - nearest, axis=1))
+
+
 def test_a_degenerate_triangle_is_an_edge():
     needle = np.array([[[0.0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 0, 5], [0, 0, 5], [0, 0, 5]]])
     points = np.array([[1.5, 1.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 4.0]])

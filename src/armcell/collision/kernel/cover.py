@@ -26,7 +26,7 @@ F64 = NDArray[np.float64]
 
 SECTIONS = 48  # number of facets around round shapes
 GROUP = 8  # spheres that share a bounding sphere
-FIT_VERSION = 2  # increase when `fit` returns other spheres, to invalidate the disk cache
+FIT_VERSION = 3  # increase when `fit` returns other spheres, to invalidate the disk cache
 
 
 def triangulated(shape: Shape) -> tuple[F64, NDArray[np.int64], float]:
@@ -308,6 +308,8 @@ def fit(shape: Shape, overshoot: float) -> Cover:
     size = float((vertices.max(0) - vertices.min(0)).max())
     inside = interior_points(vertices, faces, max(0.8 * overshoot, size / 35))
     depth = distances(inside, TriangleTree.of(surface)) if len(inside) else np.zeros(0)
+    if not np.isfinite(depth).all():  # a ball of radius NaN would hold every element and touch nothing
+        raise FloatingPointError("the distance of an interior point from the surface is not finite")
     # The cover must contain the solid's interior as well as its skin: each grid point is a small element.
     elements = np.concatenate([elements, np.repeat(inside[:, None, :], 3, axis=1)])
     # Balls around surface points (depth 0) reach corners that no interior ball reaches; a few are enough.

@@ -12,6 +12,7 @@ from armcell.collision.kernel.box_tree import z_order
 
 F64 = NDArray[np.float64]
 
+FLAT = 1e-14  # squared sine of the angle between two edges, below which a triangle has no area
 LEAF = 8  # triangles of a leaf; half or twice as many cost a tenth more time
 
 
@@ -103,10 +104,17 @@ def _distance2(p, t):
     """Return the squared distance [m^2] between a point (3,) and a triangle (9,).
 
     The algorithm finds the feature of the triangle that is nearest to the point: Ericson, Real-Time Collision
-    Detection (2005), section 5.1.5.
+    Detection (2005), section 5.1.5. It divides by the area, so a triangle without area counts as its edges.
     """
     ab = (t[3] - t[0], t[4] - t[1], t[5] - t[2])
     ac = (t[6] - t[0], t[7] - t[1], t[8] - t[2])
+    ab2, ac2, across = _dot(ab, ab), _dot(ac, ac), _dot(ab, ac)
+    if ab2 * ac2 - across * across <= FLAT * ab2 * ac2:
+        return min(
+            _segment_distance2(p, t[0:3], t[3:6]),
+            _segment_distance2(p, t[3:6], t[6:9]),
+            _segment_distance2(p, t[0:3], t[6:9]),
+        )
     ap = (p[0] - t[0], p[1] - t[1], p[2] - t[2])
     d1, d2 = _dot(ab, ap), _dot(ac, ap)
     v = w = 0.0  # the nearest point is a + v ab + w ac
@@ -132,6 +140,21 @@ def _distance2(p, t):
     for i in range(3):
         d = ap[i] - v * ab[i] - w * ac[i]
         total += d * d
+    return total
+
+
+@njit(cache=True)
+def _segment_distance2(p, a, b):
+    """Return the squared distance [m^2] between a point (3,) and a segment from a (3,) to b (3,), which may
+    have the length 0.
+    """
+    length2 = along = total = 0.0
+    for i in range(3):
+        length2 += (b[i] - a[i]) ** 2
+        along += (b[i] - a[i]) * (p[i] - a[i])
+    share = min(max(along / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
+    for i in range(3):
+        total += (p[i] - a[i] - share * (b[i] - a[i])) ** 2
     return total
 
 
