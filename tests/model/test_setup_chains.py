@@ -75,6 +75,16 @@ def test_a_torso_belongs_to_no_arm():
     assert model.groups["left_arm"].base_link == "chest"
 
 
+def test_a_cover_that_follows_the_torso_hides_no_arm():
+    """Yaskawa's SDA10F: a joint that mimics the torso's joint starts at the same link."""
+    mimic = '<axis xyz="0 0 1"/><mimic joint="turn"/>'
+    torso = [link("base"), link("chest", BOX), joint("turn", "base", "chest")]
+    cover = [link("cover", BOX), joint("follow", "base", "cover", inside=mimic)]
+    arms = [*arm(7, "left_", "chest"), *arm(7, "right_", "chest")]
+    model = with_groups(model_of(*torso, *cover, *arms))
+    assert set(model.groups) == {"left_arm", "right_arm", "both_arms"}
+
+
 def test_fingers_with_as_many_joints_as_the_arm_are_fingers():
     """TIAGo's hand: four fingers of seven joints and a thumb on an arm with seven joints."""
     fingers = [part for n in "abcd" for part in arm(7, f"{n}_", "palm")]

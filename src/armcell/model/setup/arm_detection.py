@@ -129,7 +129,9 @@ def _follow(
 
     starts = _next_movable(model, link)
     drivers = {model.coupling(j.name)[0] for j in starts}
-    if len(starts) > 1 and (all(map(is_jaw, starts)) or len(drivers) == 1):
+    # Coupled joints with arms below them turn a torso and its cover.
+    coupled = len(drivers) == 1 and max(_depth(model, j) for j in starts) <= HAND_AFTER
+    if len(starts) > 1 and (all(map(is_jaw, starts)) or coupled):
         return  # fingers without an arm
     for first in starts:
         row, ends = _row(model, first)
