@@ -148,8 +148,8 @@ def is_primitive(shapes: tuple[tuple[Shape, SE3], ...]) -> bool:
 def rough_mesh_match(
     e: DepthEvidence, points: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], span: float
 ) -> Match | None:
-    """Estimate a rough pose of a known object whose shape is a mesh, from coarse evidence. The result is None
-    if the object's size does not match.
+    """Estimate a rough pose of a known object whose shape is a mesh, from coarse evidence. Return None if
+    the object's size does not match.
 
     Args:
         span: [m] largest extent of the cluster.
