@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from threading import Thread
+
 import numpy as np
 import pytest
 
@@ -52,3 +54,18 @@ def test_a_picture_is_whole_after_another_worlds_pictures_are_gone():
     before = take_image(second, camera, rgb=False).depth
     first.render_cache = None
     np.testing.assert_array_equal(take_image(second, camera, rgb=False).depth, before)
+
+
+@pytest.mark.slow
+def test_several_threads_take_pictures_of_one_world():
+    """Arms that work side by side have a thread each and may use the same camera."""
+    camera = Camera("above", look_at((0.8, 0.0, 1.0), (0.8, 0.001, 0.0)), 64, 48, 30.0)
+    world = SimWorld(scene(), cameras=[camera])
+    depths = [take_image(world, camera, rgb=False).depth]
+    for _ in range(2):
+        thread = Thread(target=lambda: depths.append(take_image(world, camera, rgb=False).depth))
+        thread.start()
+        thread.join()
+    assert len(depths) == 3
+    for depth in depths[1:]:
+        np.testing.assert_array_equal(depth, depths[0])

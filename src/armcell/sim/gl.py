@@ -12,6 +12,7 @@ import importlib
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -99,13 +100,14 @@ class GLRenderer:
         self.size = (width, height)
         self._open = False
         self._model = model
-        self._gl: Any = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
-        self._gl.make_current()
+        self._backend: Any = importlib.import_module(f"mujoco.{backend}")
+        self._gl = self._backend.GLContext(width, height)
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         model.vis.quality.offsamples = 4 if smooth else 0
-        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # better resolution far away
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        with self._current():
+            self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # better resolution far away
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._scene = mujoco.MjvScene(model, 2000)
         self._option = mujoco.MjvOption()
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
@@ -120,11 +122,11 @@ class GLRenderer:
             sides: tangents of the angles to the left, right, bottom and top edge of the image, for a camera
                 whose field of view differs from the model's.
         """
-        self._draw(data, camera, sides)
         width, height = self.size
         picture = np.empty((height, width, 3), dtype=np.uint8)
-        self._gl.make_current()  # garbage collection may have freed another renderer in the meantime
-        mujoco.mjr_readPixels(picture, None, mujoco.MjrRect(0, 0, width, height), self._context)
+        with self._current():
+            self._draw(data, camera, sides)
+            mujoco.mjr_readPixels(picture, None, mujoco.MjrRect(0, 0, width, height), self._context)
         return np.ascontiguousarray(picture[::-1])  # OpenGL counts rows from below
 
     def depth(self, data: mujoco.MjData, camera: int, sides: Sides | None = None) -> NDArray[np.float32]:
@@ -133,15 +135,24 @@ class GLRenderer:
 
         Pixels beyond the far plane are 0.
         """
-        self._draw(data, camera, sides)
         width, height = self.size
         buffer = np.empty((height, width), dtype=np.float32)
-        self._gl.make_current()
-        mujoco.mjr_readPixels(None, buffer, mujoco.MjrRect(0, 0, width, height), self._context)
+        with self._current():
+            self._draw(data, camera, sides)
+            mujoco.mjr_readPixels(None, buffer, mujoco.MjrRect(0, 0, width, height), self._context)
         return np.ascontiguousarray(self._meters(buffer)[::-1])
 
+    @contextlib.contextmanager
+    def _current(self) -> Iterator[None]:
+        """Make the OpenGL context current while it is used. Between two uses no thread holds it, so arms that
+        work side by side, each in its own thread, can use the same camera.
+        """
+        if egl := getattr(self._backend, "EGL", None):
+            egl.eglBindAPI(egl.EGL_OPENGL_API)  # a setting of each thread
+        with self._gl.as_current():
+            yield
+
     def _draw(self, data: mujoco.MjData, camera: int, sides: Sides | None) -> None:
-        self._gl.make_current()
         view = mujoco.MjvCamera()
         view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
         every = mujoco.mjtCatBit.mjCAT_ALL.value
@@ -170,8 +181,8 @@ class GLRenderer:
         """
         if self._open:
             self._open = False
-            self._gl.make_current()
-            self._context.free()
+            with self._current():
+                self._context.free()
             self._gl.free()
 
     def __del__(self) -> None:
