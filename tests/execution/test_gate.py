@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.cell.test_motion_gate_matrix import back, plans
 from tests.execution.helpers import make
@@ -12,8 +13,9 @@ from tests.execution.helpers import make
 import armcell
 from armcell.cell import load
 from armcell.collision import ExactChecker
-from armcell.core import ErrorCode, InputError, JointTrajectory
+from armcell.core import Box, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.execution import SCENE_INVALIDATED, DriverWorld, MotionGate, execute, execution_steps
+from armcell.scene import CollisionObject, PlanningScene
 
 SOURCE = Path(armcell.__file__).parent
 MOVERS = {  # what may give a driver commands, and why
@@ -92,6 +94,30 @@ def test_a_motion_is_proven_again_when_one_beside_it_ends_early(driver, scene):
     assert second.code is SCENE_INVALIDATED, second
     assert "left_" in second.message and "stopped" in second.message
     assert second.evidence["pair"] and second.evidence["time_s"] > 0
+
+
+def test_what_a_motion_beside_it_may_touch_does_not_stop_a_motion(driver, scene):
+    """One hand moves into a box, as into a heap; the other arm starts meanwhile."""
+    into, gate_scene = plans()["left_arm"], scene.with_state(plans()["left_arm"].end)
+    box = CollisionObject.single("heap", Box(0.3, 0.3, 0.1), gate_scene.frame_pose("left_gripper_tcp"))
+    beside, away = scene.with_object(box), back_off("right_arm", scene)
+    allowed = beside.with_allowed("heap", [n for n in scene.model.links if n.startswith("left_")])
+    gate = MotionGate(DriverWorld(driver, beside))
+    touching, other = gate.motion(into, planned_in=allowed), gate.motion(away)
+    assert touching.begin() is None
+    assert other.begin() is None, other.conflict
+    for motion in (other, touching):
+        motion.end(Outcome(ErrorCode.SUCCESS))
+    assert gate.motion(into).begin() is not None  # who is not allowed to touch it does not start
+
+
+def back_off(group: str, scene: PlanningScene) -> JointTrajectory:
+    """A short motion of one joint of an arm at home, away from the other arm."""
+    names = scene.model.group(group).joint_names
+    start = scene.state.reindexed(names).positions
+    end = start + 0.2 * np.eye(len(names))[names.index("right_wrist_3_joint")]
+    zero = np.zeros((2, len(names)))
+    return JointTrajectory(names, np.array([0.0, 1.0]), np.vstack([start, end]), zero, zero)
 
 
 @pytest.mark.slow

@@ -130,6 +130,7 @@ class MotionGate:
         mine = set(motion.trajectory.joint_names)
         running = [r for r in list(self._running) if r is not ignore and not mine & set(r.joint_names)]
         others = [r.remaining_motion(scene) for r in running]
+        scene = replace(scene, allowed_pairs={**_allowed_by(running), **scene.allowed_pairs})
         found = first_conflict(scene, motion, others, self.shift, planned)
         if found is not None or self.world.follows_clock:
             return found
@@ -221,7 +222,7 @@ class GuardedMotion(Executable):
     ):
         super().__init__(trajectory, cancel)
         self._gate, self._world = gate, gate.world
-        self._planned_in = planned_in
+        self.planned_in = planned_in
         self._scene = gate.world.scene if scene is None else scene
         self._blend: JointTrajectory | None = None
         self._began: float | None = None  # [s] on the world's clock
@@ -322,10 +323,10 @@ class GuardedMotion(Executable):
         if names := set(names):
             scene = replace(scene, objects={n: o for n, o in scene.objects.items() if n in names})
         expected = dict.fromkeys(self._world.expected_contacts(), True)
-        planned = {} if self._planned_in is None else self._planned_in.allowed_pairs
+        planned = {} if self.planned_in is None else self.planned_in.allowed_pairs
         scene = replace(scene, allowed_pairs={**expected, **planned, **scene.allowed_pairs})
         motion = self.remaining_motion(scene)
-        found = self._gate.conflict(motion, scene, self, None if names else self._planned_in)
+        found = self._gate.conflict(motion, scene, self, None if names else self.planned_in)
         if found is not None:
             self.conflict = found
             self._text = describe(found, motion.passed, began=self._began is not None)
@@ -344,6 +345,14 @@ class GuardedMotion(Executable):
             if objects := [name for name in data["pair"] if name in self._objects]:
                 data["object"] = objects[0]
         return data
+
+
+def _allowed_by(running: Iterable[GuardedMotion]) -> dict[frozenset[str], bool]:
+    """Return the contacts that running motions were planned with, such as those of a hand that reaches into a
+    heap. The motion gate allows them when it checks another motion.
+    """
+    scenes = [motion.planned_in for motion in running if motion.planned_in is not None]
+    return {pair: True for scene in scenes for pair, yes in scene.allowed_pairs.items() if yes}
 
 
 def describe(found: Conflict, passed: float, began: bool) -> str:
