@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armcell.collision.kernel.world_arrays import world_of
 from armcell.core import SE3, Event, InputError, JointTrajectory, Observer, Outcome, StateSample
@@ -310,6 +311,16 @@ class TaskContext:
         For a single arm, this is the first item.
         """
         return items[0]
+
+    def await_view(self, corners: NDArray[np.float64]) -> bool:
+        """Wait until no other arm hides a region from a camera, and return whether that took time.
+
+        A single arm does not wait.
+
+        Args:
+            corners: (k, 3) points [m, world frame] whose convex hull contains the view: camera and region.
+        """
+        return False
 
     def rendezvous(self, name: str) -> None:
         """Wait in a task's context until the programs of all other arms reach the same rendezvous point.

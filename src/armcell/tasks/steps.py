@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from armcell.core import ErrorCode, JointTrajectory, Outcome
@@ -29,6 +29,7 @@ class Motion:
     clearance: float | None = None
     planned_in: PlanningScene | None = None  # with the contacts allowed for this motion
     evidence: Mapping[str, Any] = field(default_factory=dict)  # request and planner statistics
+    exact: bool = False  # whether arms side by side must not replace the motion by a detour to the same goal
 
     @property
     def duration(self) -> float:
@@ -172,7 +173,8 @@ class ParallelMotions:
     def perform(self, ctx: TaskContext) -> Outcome:
         for grip in self.grips:
             grip.start(ctx)
-        outcome = self.motion.perform(ctx) if self.motion else DONE
+        # the moving fingers are proven collision-free only along this motion
+        outcome = replace(self.motion, exact=True).perform(ctx) if self.motion else DONE
         for grip in self.grips if outcome.ok else ():
             outcome = grip.finish(ctx)
             if not outcome.ok:

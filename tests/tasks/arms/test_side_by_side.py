@@ -9,7 +9,11 @@ from tests.sizes import seeds
 
 import armcell
 from armcell.core import ErrorCode, InputError, Outcome
+from armcell.planning import goal_of
 from armcell.tasks import checked
+from armcell.tasks.stages import Connect
+from armcell.tasks.steps import CommandGripper, ParallelMotions
+from armcell.tasks.task import plan_stages
 
 pytestmark = pytest.mark.slow  # two arms: proofs, searches and physics by the second
 
@@ -85,6 +89,54 @@ def test_who_stands_in_the_way_for_good_makes_way(cell):
         np.testing.assert_allclose(
             live.driver.joint_state().reindexed(home.joint_names).positions, home.positions, atol=1e-6
         )
+
+
+def test_a_camera_waits_until_no_arm_hides_what_it_looks_at(cell):
+    """Left rests over the middle of the table, where right's camera looks."""
+    view = np.array([(0.0, 0.0, 1.9), *((x, y, 0.91) for x in (-0.1, 0.1) for y in (-0.1, 0.1))])
+    waited = []
+
+    def look(arm):
+        arm.rendezvous("left is there")
+        waited.extend(arm._ctx.await_view(view) for _ in range(2))
+
+    def rest(arm):
+        checked(arm.move_to(tip(0.0, 0.0)))
+        arm.rendezvous("left is there")
+
+    with cell.connect("fake") as live:
+        assert not live.ctx.await_view(view)  # one arm does not wait
+        result = live.side_by_side(left_arm=rest, right_arm=look)
+        assert result.ok, result.message
+        hand = live.scene().frame_pose("left_gripper_tcp").translation
+    assert waited == [True, False] and result.yielded[LEFT] == 1 and abs(hand[1]) > 0.2
+
+
+def test_a_motion_during_which_the_fingers_move_waits_and_takes_no_detour(cell):
+    """The moving fingers are proven free only along this motion."""
+
+    def passes(arm):
+        ctx, gripper = arm._ctx, arm._ctx.base.model.gripper(arm_group=arm.group)
+        goal = goal_of(ctx.base.model, arm.group, tip(0.3, -0.1))
+        solution, outcome = plan_stages(
+            ctx, [Connect("pass", arm.group, ctx.settings.free, goal=goal)], "pass"
+        )
+        assert solution is not None, outcome.message
+        (step,) = solution.steps
+        grip = CommandGripper("close", gripper, 0.05, gripper.max_force)
+        arm.rendezvous("left is there")
+        return ParallelMotions(step, (grip,)).perform(ctx)
+
+    def stays(arm):
+        checked(arm.move_to(tip(0.3, -0.1)))
+        arm.rendezvous("left is there")
+        checked(arm.hold(1.0))
+        return arm.move_to("home")
+
+    with cell.connect("fake") as live:
+        result = live.side_by_side(left_arm=stays, right_arm=passes)
+        assert result.ok, result.message
+    assert result.waited[RIGHT] > 0.9 and result.searched[RIGHT] == 0
 
 
 def test_neither_arm_is_starved(cell):

@@ -14,8 +14,10 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from armcell.collision.inter_arm_checker import InterArmChecker, check_arms, without_arms
+from armcell.collision.inter_arm_checker import InterArmChecker, check_arms, moved_links, without_arms
+from armcell.collision.view_cone import links_in_hull
 from armcell.core import (
     ErrorCode,
     InputError,
@@ -75,6 +77,9 @@ class ArmContext(TaskContext):
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
         return self.coordinator.choose(self.group, items, zone)
+
+    def await_view(self, corners: NDArray[np.float64]) -> bool:
+        return self.coordinator.await_view(self, corners)
 
     def rendezvous(self, name: str) -> None:
         self.coordinator.rendezvous(self, name)
@@ -197,7 +202,7 @@ class MotionCoordinator:
         """Wait until an arm that works side by side with others may start the requested motion or a detour to
         the same goal. Return the allowed motion, or the failure if the wait times out or is canceled.
         """
-        me, straight = ctx.group, motion.planner == "cartesian"
+        me, straight = ctx.group, motion.planner == "cartesian" or motion.exact
         began = ctx.driver.now
         while not ctx.cancel.is_set():
             found = self._try(ctx, motion.trajectory, straight, motion)
@@ -292,7 +297,9 @@ class MotionCoordinator:
         return self.clearance if near is None else max(min(self.clearance, near.distance - 2e-3), 0.0)
 
     def _plan(self, ctx: ArmContext, scene: PlanningScene, q, motion: Motion | None = None):
-        speed = ctx.settings.carry if ctx.holding else ctx.settings.free
+        links = moved_links(scene.model, ctx.group)
+        carries = any(body.link in links for body in scene.attached.values())
+        speed = ctx.settings.carry if carries else ctx.settings.free
         names = scene.model.group(ctx.group).joint_names
         request = PlanRequest(
             ctx.group, (JointGoal(JointState(names, q)),), planner_id=ctx.settings.planner_id,
@@ -429,6 +436,37 @@ class MotionCoordinator:
         finally:
             queue.remove(ctx.group)
             self._heading.pop(ctx.group, None)
+
+    def await_view(self, ctx: ArmContext, corners: NDArray[np.float64]) -> bool:
+        """Wait until no other of the arms that work side by side hides a region from a camera, and return
+        whether that took time. A resting arm that hides the region moves to its home state.
+
+        After `patience`, the wait ends although an arm still hides the region.
+
+        Args:
+            corners: (k, 3) points [m, world frame] whose convex hull contains the view: camera and region.
+        """
+        began, me = ctx.driver.now, ctx.group
+        while not ctx.cancel.is_set() and ctx.driver.now - began < self.patience:
+            hiding = self._hiding(ctx, corners)
+            if not hiding:
+                break
+            self.waits.setdefault(me, (ctx.driver.now, "a view"))
+            for other in hiding:
+                if other in self.waits and self._rests(ctx, other):
+                    self.asked[other].add(me)
+            self._idle(ctx)
+            self.waited[me] += IDLE
+        self._stop_waiting(me)
+        return began < ctx.driver.now < began + self.patience
+
+    def _hiding(self, ctx: ArmContext, corners: NDArray[np.float64]) -> list[str]:
+        """Return which other arms that work side by side are in a camera's view."""
+        scene, others = ctx.whole_scene(), self.others(ctx.group)
+        arms = {other: moved_links(scene.model, other) for other in others}
+        elsewhere = set(scene.model.links).difference(*arms.values())
+        hiding = links_in_hull(scene, corners, elsewhere).keys()
+        return [other for other in others if arms[other] & hiding]
 
     def rendezvous(self, ctx: ArmContext, name: str) -> None:
         """Pause the program of an arm that works side by side with others until all of them have reached the
