@@ -1,11 +1,12 @@
-"""Bins of mixed objects that a UR10 clears with nothing but the images of two depth cameras.
+"""Bins of mixed objects that one or two UR10 clear with nothing but the images of depth cameras.
 
-    python -m benchmarks.bins --seeds 20 --counts 12 20
+    python -m benchmarks.bins --seeds 20 --counts 12 20 --arms 1 2
     python -m benchmarks.bins --meshes FOLDER         # other objects: all meshes of a folder, at true scale
 
 Each bin holds objects of the grasp benchmark (`grasp_objects`) that are graspable on their three most
-stable sides, drawn at random and dropped in physics. The cell is `bin_clearing` with these objects instead of
-its own. A bin is cleared if every object is in the tray, by the true poses. Picks per hour count placed
+stable sides, drawn at random and dropped in physics. The cells are `bin_clearing` (one arm) and
+`dual_bin_clearing` (two arms) with these objects instead of their own. A bin is cleared if every object is in
+a tray, by the true poses. Picks per hour count placed
 objects per simulated time of the whole task, the last looks and failed picks included; planning costs no
 simulated time.
 """
@@ -31,7 +32,9 @@ from armcell.scene import Material, mesh_object
 from benchmarks import grasp_objects
 from benchmarks.grasp_objects import FRICTION, HALVES
 
-BIN_TARGET, RATE_TARGET = 0.95, 600  # share of cleared bins, picks per hour
+BIN_TARGET = 0.95  # share of cleared bins
+CELLS = {1: "bin_clearing", 2: "dual_bin_clearing"}  # by number of arms
+RATE_TARGETS = {1: 600, 2: 900}  # picks per hour, by number of arms
 LONGEST = 0.18  # [m] longest side of an object, less than half of the bin's
 NARROW = 0.07  # [m] limit of the two shorter sides
 SIDES = 3
@@ -82,9 +85,9 @@ def fits(file: Path, cell: armcell.Cell) -> bool:
     return all(not grasp_objects.graspable(item.at(T), cell.model, gripper, pad) for T in sides_down)
 
 
-def cell_with(files: Sequence[Path], folder: Path) -> armcell.Cell:
-    """Write the cell `bin_clearing` with an object for each of the given meshes, and load it."""
-    source = Path(armcell.load("bin_clearing").file)
+def cell_with(files: Sequence[Path], folder: Path, arms: int = 1) -> armcell.Cell:
+    """Write the cell for this number of arms with an object for each of the given meshes, and load it."""
+    source = Path(armcell.load(CELLS[arms]).file)
     spec = yaml.safe_load(source.read_text())
     own = spec["drop"]["objects"]
     poses = [spec["objects"].pop(name)["pose"] for name in own]
@@ -120,40 +123,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ask.add_argument("--counts", type=int, nargs="+", default=[12, 20], help="objects per bin, at most 20")
     ask.add_argument("--half", choices=HALVES, help="only objects of this half of the set")
     ask.add_argument("--meshes", type=Path, help="folder of other meshes, at true scale")
+    ask.add_argument("--arms", type=int, nargs="+", choices=CELLS, default=[*CELLS], help="number of arms")
     ask.add_argument("--keep", type=Path, help="folder for the cells of bins that were not cleared")
     a = ask.parse_args(arguments)
     files = meshes_in(a.meshes) if a.meshes else meshes_of_set(a.half)
-    cell = armcell.load("bin_clearing")
+    cell = armcell.load(CELLS[1])
     files = [file for file in files if fits(file, cell)]
     print(f"{len(files)} kinds of objects: {', '.join(file.stem for file in files)}")
-    missed = False
-    for count in a.counts:
-        runs = []
-        for seed in range(a.first, a.first + a.seeds):
-            rng = np.random.default_rng((seed, count))
-            chosen = [files[i] for i in rng.choice(len(files), count, replace=len(files) < count)]
-            with tempfile.TemporaryDirectory() as scratch:
-                folder = a.keep / f"bin_{count}_{seed}" if a.keep else Path(scratch)
-                folder.mkdir(parents=True, exist_ok=True)
-                cell, began = cell_with(chosen, folder), time.process_time()
-                found = run(cell, seed)
-            runs.append(found)
-            print(
-                f"{count} objects, seed {seed}: {found.cleared} cleared in {found.time:.0f} s, {found.picks} "
-                f"picks, {found.contacts} unwanted contacts, {time.process_time() - began:.0f} CPU-s "
-                f"{found.message}",
-                flush=True,
-            )
-        whole = sum(r.cleared == r.objects for r in runs)
-        rate = 3600 * sum(r.cleared for r in runs) / sum(r.time for r in runs)
-        contacts = Counter(r.contacts > 0 for r in runs)[True]
+    missed = [measured(a, files, arms, count) for arms in a.arms for count in a.counts]
+    return int(any(missed))
+
+
+def measured(a: argparse.Namespace, files: Sequence[Path], arms: int, count: int) -> bool:
+    """Clear the bins with this number of arms and of objects, and print the table; True if a target is
+    missed.
+    """
+    runs = []
+    for seed in range(a.first, a.first + a.seeds):
+        rng = np.random.default_rng((seed, count))
+        chosen = [files[i] for i in rng.choice(len(files), count, replace=len(files) < count)]
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = a.keep / f"bin_{arms}_{count}_{seed}" if a.keep else Path(scratch)
+            folder.mkdir(parents=True, exist_ok=True)
+            cell, began = cell_with(chosen, folder, arms), time.process_time()
+            found = run(cell, seed)
+        runs.append(found)
         print(
-            f"\n{count} objects: {whole} of {len(runs)} bins cleared (target {BIN_TARGET:.0%}), "
-            f"{sum(r.cleared for r in runs)} of {sum(r.objects for r in runs)} objects; "
-            f"{rate:.0f} picks per hour (target {RATE_TARGET}); {contacts} bins with unwanted contacts\n"
+            f"{arms} arms, {count} objects, seed {seed}: {found.cleared} cleared in {found.time:.0f} s, "
+            f"{found.picks} picks, {found.contacts} unwanted contacts, "
+            f"{time.process_time() - began:.0f} CPU-s {found.message}",
+            flush=True,
         )
-        missed |= whole < BIN_TARGET * len(runs) or rate < RATE_TARGET or contacts > 0
-    return int(missed)
+    whole = sum(r.cleared == r.objects for r in runs)
+    rate = 3600 * sum(r.cleared for r in runs) / sum(r.time for r in runs)
+    contacts = Counter(r.contacts > 0 for r in runs)[True]
+    print(
+        f"\n{arms} arms, {count} objects: {whole} of {len(runs)} bins cleared (target {BIN_TARGET:.0%}), "
+        f"{sum(r.cleared for r in runs)} of {sum(r.objects for r in runs)} objects; "
+        f"{rate:.0f} picks per hour (target {RATE_TARGETS[arms]}); {contacts} bins with unwanted contacts\n"
+    )
+    return whole < BIN_TARGET * len(runs) or rate < RATE_TARGETS[arms] or contacts > 0
 
 
 if __name__ == "__main__":

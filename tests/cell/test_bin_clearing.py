@@ -21,14 +21,22 @@ from armcell.tasks.bin_clearing.work_regions import table_around, view_region
 CALL = {"into": "tray", "table": "work_table", "camera": "above_bin", "tray_camera": "above_tray"}
 
 
+TWO_ARMS = {
+    "into": {"left_arm": "left_tray", "right_arm": "right_tray"}, "table": "work_table",
+    "camera": "above_bin",
+    "tray_camera": {"left_arm": "above_left_tray", "right_arm": "above_right_tray"},
+}  # fmt: skip
+
+
 @cache
-def whole() -> Cell:
-    return armcell.load("bin_clearing")
+def whole(name: str = "bin_clearing") -> Cell:
+    return armcell.load(name)
 
 
-def with_things(**poses) -> Cell:
+def with_things(cell: Cell | None = None, **poses) -> Cell:
     """The cell with a few things only, where they are told to be."""
-    data = whole().spec.model_dump(exclude_unset=True)
+    whole_cell = cell or whole()
+    data = whole_cell.spec.model_dump(exclude_unset=True)
     drop = data["drop"]["objects"]
     for name in drop:
         if name in poses:
@@ -37,18 +45,18 @@ def with_things(**poses) -> Cell:
             del data["objects"][name]
     data["perception"]["objects"] = list(poses)
     del data["drop"]
-    return Cell("small", whole().file, validated(data, whole().file))
+    return Cell("small", whole_cell.file, validated(data, whole_cell.file))
 
 
-def with_some(count: int) -> Cell:
+def with_some(count: int, name: str = "bin_clearing") -> Cell:
     """The cell with some of its things, of as many kinds as can be."""
-    data = whole().spec.model_dump(exclude_unset=True)
+    data = whole(name).spec.model_dump(exclude_unset=True)
     every = list(data["drop"]["objects"])
     left_out = set(every) - set(every[:: len(every) // count])
     data["objects"] = {name: item for name, item in data["objects"].items() if name not in left_out}
     for names in (data["drop"]["objects"], data["perception"]["objects"]):
         names[:] = [name for name in names if name not in left_out]
-    return Cell("some", whole().file, validated(data, whole().file))
+    return Cell("some", whole(name).file, validated(data, whole(name).file))
 
 
 def two_things() -> Cell:
@@ -342,6 +350,55 @@ def test_what_lies_where_no_camera_looks_is_told():
         assert [outcome.evidence[k] for k in ("cleared", "left", "beside")] == [0, 0, 1]
 
 
+def four_things() -> Cell:
+    z = 1.0195
+    return with_things(
+        whole("dual_bin_clearing"),
+        box_1=(-0.12, -0.1, z), can_1=(0.12, -0.1, z), can_2=(-0.12, 0.1, z), box_2=(0.12, 0.1, z),
+    )  # fmt: skip
+
+
+def intervals(live, arm: str, first: str, last: str) -> list[tuple[float, float]]:
+    """Times [s] from the beginning of one stage of an arm to the end of a later one, for each pick."""
+    stages = [r for r in live.reports if r.name.startswith(f"{arm}: ")]
+    begin = [r.started_s for r in stages if r.name.endswith(first)]
+    end = [r.started_s + r.motion_time_s for r in stages if r.name.endswith(last)]
+    return list(zip(begin, end, strict=True))
+
+
+def overlap(a, b) -> float:
+    """Time [s] that intervals of one list have in common with those of another."""
+    return sum(max(min(y, v) - max(x, u), 0.0) for x, y in a for u, v in b)
+
+
+@pytest.mark.long
+def test_two_arms_clear_one_bin_in_turns_and_one_picks_while_the_other_puts():
+    ends = []
+    for _ in range(2):
+        with four_things().connect("sim", seed=0) as live:
+            outcome = live.clear("bin", **TWO_ARMS)
+            assert outcome.ok, outcome.message
+            assert [outcome.evidence[k] for k in ("cleared", "left", "beside")] == [4, 0, 0]
+            assert live.driver.unwanted_contacts() == [] and live.driver.welds() == []
+            picks = [intervals(live, arm, "approach", "lift") for arm in ("left_arm", "right_arm")]
+            fetches = [intervals(live, arm, "move to pre-grasp", "lift") for arm in ("left_arm", "right_arm")]
+            puts = [intervals(live, arm, "move to tray", "lower") for arm in ("left_arm", "right_arm")]
+            ends.append((live.driver.now, live.driver.joint_state().positions.tobytes()))
+    assert all(len(p) >= 1 for p in picks)
+    assert overlap(*picks) == 0.0
+    assert overlap(fetches[0], puts[1]) + overlap(fetches[1], puts[0]) > 1.0
+    assert ends[0] == ends[1]  # the same seed gives the same run
+
+
+@pytest.mark.slow
+def test_each_arm_needs_a_container_and_a_camera():
+    with four_things().connect("sim", seed=0) as live:
+        with pytest.raises(InputError, match="cameras for"):
+            live.clear("bin", **{**TWO_ARMS, "tray_camera": {"left_arm": "above_left_tray"}})
+        with pytest.raises(InputError, match="2 arms"):
+            live.clear("bin", **{**TWO_ARMS, "into": "left_tray"})
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("count", "seed"), seeds(1, [(5, 0), (20, 0), (20, 5)]))
 def test_mixed_things(count, seed):
@@ -351,3 +408,13 @@ def test_mixed_things(count, seed):
     assert result["measures"]["cleared"] >= count - 1
     assert result["unwanted_contacts"] == [] and result["welds"] == []
     assert np.isfinite(result["min_clearance_m"])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", seeds(1, range(3)))
+def test_two_arms_clear_mixed_things(seed):
+    cell = with_some(10, "dual_bin_clearing")
+    with cell.connect("sim", seed=seed) as live:
+        result = run_task(cell, live, seed, "sim")
+    assert result["measures"]["cleared"] >= 9
+    assert result["unwanted_contacts"] == [] and result["welds"] == []

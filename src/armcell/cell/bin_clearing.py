@@ -1,11 +1,13 @@
-"""Bin clearing with the arm and cameras of a cell, including a count of the cleared objects.
+"""Bin clearing with the arms and cameras of a cell, including a count of the cleared objects.
 
 In physics, the count uses the true object poses.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,27 +18,37 @@ from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.sim import SimWorld
 from armcell.tasks import TaskContext
-from armcell.tasks.bin_clearing import BinClearingSettings, clear_bin
+from armcell.tasks.arms import side_by_side
+from armcell.tasks.bin_clearing import BinClearingCounts, BinClearingSettings, clear_bin
 
 LOST = -1.0  # [m] height; an object below has fallen off the floor
 
 
+@dataclass(frozen=True)
+class Destination:
+    """Tray of one arm in bin clearing, and the camera that looks at it."""
+
+    gripper: Gripper
+    tray: str
+    camera: LiveCamera
+
+
 def clear_with(
-    ctx: TaskContext, scene: PlanningScene, gripper: Gripper, bin: str, tray: str, table: str,
-    eye: LiveCamera, eye_on_tray: LiveCamera, settings: BinClearingSettings = BinClearingSettings(),
+    ctx: TaskContext, scene: PlanningScene, bin: str, table: str, eye: LiveCamera,
+    destinations: Sequence[Destination], settings: BinClearingSettings = BinClearingSettings(),
 ) -> Outcome:  # fmt: skip
-    """Run bin clearing with an arm of the cell: move all objects from a bin into a tray. In the physics
-    simulation, also count the objects in the tray, in the bin and elsewhere.
+    """Run bin clearing with one or several arms of the cell: move all objects from a bin into the arms'
+    trays. In the physics simulation, also count the objects in the trays, in the bin and elsewhere.
 
     The evidence has the true counts `cleared`, `left` and `beside`. In physics, the outcome is also a FAILURE
-    if the cameras see no more objects but an object is not in the tray.
+    if the cameras see no more objects but an object is not in a tray.
 
     Args:
         scene: with all objects of the cell, also those whose poses only cameras measure.
         eye: the camera that looks at the bin.
-        eye_on_tray: the camera that looks at the tray.
+        destinations: one per arm; several arms work side by side.
     Raises:
-        InputError: the planner already knows an object's pose, or the bin or tray has no level floor.
+        InputError: the planner already knows an object's pose, or the bin or a tray has no level floor.
     """
     things = [name for name, item in scene.objects.items() if item.movable]
     known = [name for name in things if name in ctx.base.objects]
@@ -45,29 +57,45 @@ def clear_with(
             f"the poses of {', '.join(known[:3])} are known without a camera",
             hint="name them under 'perception: objects' in the cell file",
         )
-    for link in gripper.hand_links:  # in a heap, the hand touches neighboring objects
-        ctx.driver.expect_contact(link, things)
+    trays = list(dict.fromkeys(d.tray for d in destinations))
+    for destination in destinations:  # in a heap, the hands touch neighboring objects
+        for link in destination.gripper.hand_links:
+            ctx.driver.expect_contact(link, things)
+    counts = BinClearingCounts()
+    found: dict[str, Outcome] = {}
 
-    def look(camera: LiveCamera) -> CameraImage:
-        if not camera.frozen:
-            ctx.advance(1.0 / camera.camera.rate)  # wait for a picture of the arm's present pose
-        return camera.take(ctx.advance, rgb=False)
+    def clear(destination: Destination, ctx: TaskContext) -> None:
+        def look(camera: LiveCamera) -> CameraImage:
+            if not camera.frozen:
+                ctx.advance(1.0 / camera.camera.rate)  # wait for a picture of the arm's present pose
+            return camera.take(ctx.advance, rgb=False)
 
-    outcome = clear_bin(
-        ctx, gripper, bin, tray, table, lambda: look(eye), lambda: look(eye_on_tray), settings
-    )
+        gripper, tray = destination.gripper, destination.tray
+        found[gripper.name] = clear_bin(
+            ctx, gripper, bin, tray, table, partial(look, eye), partial(look, destination.camera), settings,
+            [other for other in trays if other != tray], counts,
+        )  # fmt: skip
+
+    if len(destinations) == 1:
+        clear(destinations[0], ctx)
+    else:  # an arm that gives up does not stop the others, which may hold an object
+        side_by_side(ctx, {d.gripper.arm_group: partial(clear, d) for d in destinations})
+    outcome = next((o for o in found.values() if not o.ok), Outcome(ErrorCode.SUCCESS))
+    outcome = replace(outcome, evidence=counts.as_dict())
     world = ctx.driver.world
     if world is None:
         return outcome
-    in_tray, in_bin = (_inside(world, scene, name, things) for name in (tray, bin))
+    in_tray = [thing for tray in trays for thing in _inside(world, scene, tray, things)]
+    in_bin = _inside(world, scene, bin, things)
     truth = {"things": len(things), "cleared": len(in_tray), "left": len(in_bin)}
     truth["beside"] = len(things) - len(in_tray) - len(in_bin)
     outcome = replace(outcome, evidence={**outcome.evidence, **truth})
     if not outcome.ok or len(in_tray) == len(things):
         return outcome
     where = ", ".join(_where(world, name) for name in things if name not in in_tray)
+    where_to = " or ".join(map(repr, trays))
     text = f"the cameras see nothing more, yet {len(things) - len(in_tray)} of {len(things)} things"
-    return replace(outcome, code=ErrorCode.FAILURE, message=f"{text} are not in {tray!r}: {where}")
+    return replace(outcome, code=ErrorCode.FAILURE, message=f"{text} are not in {where_to}: {where}")
 
 
 def _where(world: SimWorld, name: str) -> str:

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, ExitStack
 from typing import Any
 
 from armcell import _interrupts
-from armcell.cell.bin_clearing import clear_with
+from armcell.cell.bin_clearing import Destination, clear_with
 from armcell.cell.live_cameras import LiveCamera, OctomapUpdater, live_cameras
 from armcell.cell.perceived_objects import DetectedPoses, look_with
 from armcell.collision.inter_arm_checker import combined_group
@@ -445,23 +445,39 @@ class LiveCell:
         return look_with([self.camera(name) for name in names], self.ctx, self.seen, settings)
 
     def clear(
-        self, bin: str, into: str, table: str, camera: str, tray_camera: str,
-        settings: BinClearingSettings = BinClearingSettings(),
+        self, bin: str, into: str | Mapping[str, str], table: str, camera: str,
+        tray_camera: str | Mapping[str, str], settings: BinClearingSettings = BinClearingSettings(),
     ) -> Outcome:  # fmt: skip
         """Clear a bin in a live cell: move all objects into another container. The poses of the objects come
-        only from two cameras, one per container.
+        only from cameras, one per container.
+
+        Example for two arms: `cell.clear("bin", into={"left_arm": "left_tray", "right_arm": "right_tray"},
+        ...)`. The arms work side by side; each puts its objects into its own container.
 
         Args:
-            into: the container for the objects.
-            table: the object that supports both containers; fallen objects are picked up from it.
-            camera, tray_camera: the cameras that look at the bin and at `into`.
+            into: the container for the objects; for several arms, the container of each, by planning group.
+            table: the object that supports the containers; fallen objects are picked up from it.
+            camera: the camera that looks at the bin.
+            tray_camera: the camera that looks at `into`; for several arms, a camera by planning group.
         Returns:
             SUCCESS if the cameras see no object outside `into` and, in physics, all objects are in `into`;
             the evidence has the counts.
+        Raises:
+            InputError: `into` and `tray_camera` name different arms.
         """
-        gripper = self.model.gripper(arm_group=self.arm.group)
-        eyes = self.camera(camera), self.camera(tray_camera)
-        return clear_with(self.ctx, self.scene_at_start, gripper, bin, into, table, *eyes, settings)
+        trays = {self.arm.group: into} if isinstance(into, str) else into
+        eyes = dict.fromkeys(trays, tray_camera) if isinstance(tray_camera, str) else tray_camera
+        if eyes.keys() != trays.keys():
+            raise InputError(
+                f"the containers are for {sorted(trays)}, the cameras for {sorted(eyes)}",
+                hint="name one container and one camera for each arm",
+            )
+        destinations = [
+            Destination(self.model.gripper(arm_group=self[group].group), tray, self.camera(eyes[group]))
+            for group, tray in trays.items()
+        ]
+        eye = self.camera(camera)
+        return clear_with(self.ctx, self.scene_at_start, bin, table, eye, destinations, settings)
 
     def sort(
         self, into: Mapping[str, str], camera: str, by: str | Kind = "color",

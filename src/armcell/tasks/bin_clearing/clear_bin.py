@@ -22,13 +22,13 @@ from armcell.tasks.bin_clearing.push import PushPiece
 from armcell.tasks.bin_clearing.settings import BinClearingSettings
 from armcell.tasks.bin_clearing.stages import (
     HEAP,
-    HELD,
     CheckObjectInFingers,
     ChooseFromHeap,
     ChooseReleasePoint,
     CloseOnHeap,
     ReleaseAboveTray,
     detach_held,
+    held_object,
     holds,
 )
 from armcell.tasks.bin_clearing.work_regions import (
@@ -56,7 +56,7 @@ _FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, E
 
 @dataclass
 class BinClearingCounts:
-    """Counters of `clear_bin` for picks and failures."""
+    """Counters of `clear_bin` for picks and failures. Arms that clear one bin side by side share them."""
 
     picks: int = 0  # closed grasps
     put: int = 0  # objects released over the tray
@@ -67,6 +67,7 @@ class BinClearingCounts:
     in_a_row: int = 0  # failures since the last success
     avoid: list[HeapGrasp] = field(default_factory=list)  # failed grasps
     pushed: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], direction [rad]
+    left: dict[str, str] = field(default_factory=dict)  # regions set aside, with the number of pieces in each
 
     def as_dict(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if isinstance(v, int) and k != "in_a_row"}
@@ -81,16 +82,21 @@ def clear_bin(
     look: Look,
     look_at_tray: Look,
     settings: BinClearingSettings = BinClearingSettings(),
+    others: Sequence[str] = (),
+    counts: BinClearingCounts | None = None,
 ) -> Outcome:
     """Pick objects from a bin, and release them over a tray, until the bin is empty.
 
     Uses only images and the gripper's readings. The next image shows dropped objects; objects beside bin or
-    tray are picked up last.
+    tray are picked up last. Several arms may clear one bin side by side: the arm that reserves the bin looks
+    and picks, while the others put their objects into their trays.
 
     Args:
         bin, tray: fixed objects with a level floor, square to the world's axes.
         table: the fixed object that both stand on.
         look, look_at_tray: return the newest depth image of each.
+        others: further containers on the table, whose content stays.
+        counts: shared by the arms that clear the bin; None for one arm.
     Returns:
         SUCCESS if no piece is visible any more, otherwise the reason for giving up. Evidence: `picks`, `put`,
         `missed`, `dropped`, `unplanned` (counts).
@@ -103,79 +109,104 @@ def clear_bin(
     warm_up()
     s, base = settings, ctx.base
     bin_region, tray_region = floor_of(base, bin, s), floor_of(base, tray, s)
+    containers = (bin, tray, *others)
     regions = (
         (look, bin_region),
-        (look, table_around(base, bin, table, (bin, tray), s)),
-        (look_at_tray, table_around(base, tray, table, (bin, tray), s)),
+        (look, table_around(base, bin, table, containers, s)),
+        (look_at_tray, table_around(base, tray, table, containers, s)),
     )
-    return _BinClearing(ctx, gripper, bin, s).run(regions, look_at_tray, tray_region)
+    counts = BinClearingCounts() if counts is None else counts
+    return _BinClearing(ctx, gripper, bin, s, counts, regions, look_at_tray, tray_region).run()
 
 
 class _BinClearing:
     """One run of `clear_bin`: the arm looks, picks an object and releases it over the tray, until the bin is
     empty.
+
+    Args:
+        regions: the work regions with the cameras that see them, in the order in which they are cleared.
     """
 
-    def __init__(self, ctx: TaskContext, gripper: Gripper, bin: str, settings: BinClearingSettings):
-        self.ctx, self.gripper, self.bin, self.settings = ctx, gripper, bin, settings
-        self.counts = BinClearingCounts()
+    def __init__(
+        self, ctx: TaskContext, gripper: Gripper, bin: str, settings: BinClearingSettings,
+        counts: BinClearingCounts, regions: Sequence[tuple[Look, WorkRegion]], look_at_tray: Look,
+        tray: WorkRegion,
+    ):  # fmt: skip
+        self.ctx, self.gripper, self.bin, self.settings, self.counts = ctx, gripper, bin, settings, counts
+        self._regions, self._look_at_tray, self._tray = regions, look_at_tray, tray
+        self._is_away = False  # the arm, from the cameras' view
+        self._has_failed = False  # a pick, push or put, after which the arm must leave the cameras' view
+        self._any_grasp = False  # whether to try even grasps that hold only the top of a piece
 
-    def run(
-        self, regions: Sequence[tuple[Look, WorkRegion]], look_at_tray: Look, tray: WorkRegion
-    ) -> Outcome:
+    def run(self) -> Outcome:
         """Clear a bin: pick the objects in its work regions, one region after the other, and put them into
         the tray.
         """
-        ctx, s, counts = self.ctx, self.settings, self.counts
-        left: dict[str, str] = {}  # regions set aside, with the number of pieces in each
-        arm_is_away = False  # from the cameras' view
-        any_grasp = False  # whether to try even grasps that hold only the top of a piece
-        while True:
-            if ctx.cancel.is_set():
-                return self._end(ErrorCode.PREEMPTED, "cancelled")
-            here = first_not_empty(ctx, [(eye, r) for eye, r in regions if r.name not in left], s)
-            if isinstance(here, Outcome):
-                if here.ok and not arm_is_away and counts.picks + counts.pushes > 0:
-                    self._leave_view()  # the arm may hide a piece beside the tray
-                    arm_is_away = True
-                    continue
-                if here.ok and left:
-                    last = f"at least {s.most_misses} picks in a row brought nothing"
-                    return self._given_up(last, left.values())
-                return self._end(here.code, here.message)
-            where = f"{here.count} {here.region.name}"
-            if counts.picks >= s.most_picks:
-                last = f"{counts.picks} picks are all that was allowed"
-                return self._given_up(last, [*left.values(), where])
-            if counts.in_a_row >= max(s.most_misses, s.tries_per_piece * here.count):
-                left[here.region.name] = where
-                counts.in_a_row = 0
-                continue
-            add_heap(ctx, here)
-            arm_is_away = False
-            pick = _PickFromHeap(self, here, any_grasp)
-            any_grasp = False
-            outcome = pick.run()
-            if outcome.ok:
-                outcome = self._put(pick.grasp, here.region, tray, look_at_tray)
-            if outcome.code is ErrorCode.PREEMPTED:
-                continue
-            if outcome.ok:
-                counts.in_a_row, counts.avoid, counts.pushed = 0, counts.avoid[-6:], []
-                continue
-            counts.in_a_row += 1
-            ctx.emit("note", f"clearing {self.bin}: {outcome.message}")
-            if outcome.code is ErrorCode.PLANNING_FAILED:
-                if len(counts.pushed) < s.most_pushes:
-                    outcome = self._push(here)
-                any_grasp = not outcome.ok
-                counts.in_a_row -= outcome.ok  # the piece may have a grasp now
-            if outcome.code in _FINAL:
-                return self._end(outcome.code, outcome.message)
+        counts = self.counts
+        while not self.ctx.cancel.is_set():
+            with self.ctx.reserve(self.bin):
+                put, end = self._pick()
+            if put is not None:
+                outcome = self._put(*put)
+                if outcome.ok:
+                    counts.in_a_row, counts.avoid, counts.pushed = 0, counts.avoid[-6:], []
+                else:
+                    end = self._failed(outcome)
+            if self._has_failed:  # not before other arms may use the bin
+                self._leave_view()
+            if end is not None:
+                return Outcome(end.code, end.message, counts.as_dict())
+        return Outcome(ErrorCode.PREEMPTED, "cancelled", counts.as_dict())
 
-    def _given_up(self, last: str, where: Iterable[str]) -> Outcome:
-        text = f"given up, {last}; pieces still seen: {', '.join(where)}"
-        return self._end(ErrorCode.FAILURE, text)
+    def _pick(self) -> tuple[tuple[PartialSolution, HeapGrasp] | None, Outcome | None]:
+        """Let `clear_bin` look, pick an object and plan how to put it into the tray, or push a piece off a
+        wall. Return the planned motion with the grasp if the hand holds an object, and the end of the task
+        if it ends.
+        """
+        ctx, s, counts = self.ctx, self.settings, self.counts
+        here = first_not_empty(ctx, [(eye, r) for eye, r in self._regions if r.name not in counts.left], s)
+        if isinstance(here, Outcome):
+            if here.ok and not self._is_away and counts.picks + counts.pushes > 0:
+                self._leave_view()  # the arm may hide a piece beside the tray
+                self._is_away = True
+                return None, None
+            if here.ok and counts.left:
+                last = f"at least {s.most_misses} picks in a row brought nothing"
+                return None, _given_up(last, counts.left.values())
+            return None, here
+        where = f"{here.count} {here.region.name}"
+        if counts.picks >= s.most_picks:
+            last = f"{counts.picks} picks are all that was allowed"
+            return None, _given_up(last, [*counts.left.values(), where])
+        if counts.in_a_row >= max(s.most_misses, s.tries_per_piece * here.count):
+            counts.left[here.region.name] = where
+            counts.in_a_row = 0
+            return None, None
+        add_heap(ctx, here)
+        self._is_away = False
+        pick = _PickFromHeap(self, here, self._any_grasp)
+        self._any_grasp = False
+        outcome = pick.run()
+        if outcome.ok:
+            put, outcome = self._plan_put(pick.grasp, here.region)
+            if put is not None:
+                return (put, pick.grasp), None
+        end = self._failed(outcome)
+        if outcome.code is ErrorCode.PLANNING_FAILED:
+            if len(counts.pushed) < s.most_pushes:
+                outcome = self._push(here)
+            self._any_grasp = not outcome.ok
+            counts.in_a_row -= outcome.ok  # the piece may have a grasp now
+            end = outcome if outcome.code in _FINAL else None
+        return None, end
+
+    def _failed(self, outcome: Outcome) -> Outcome | None:
+        """Count a failed attempt of `clear_bin`. Return the outcome if it ends the task."""
+        if outcome.code is ErrorCode.PREEMPTED:
+            return None
+        self.counts.in_a_row += 1
+        self.ctx.emit("note", f"clearing {self.bin}: {outcome.message}")
+        return outcome if outcome.code in _FINAL else None
 
     def _push(self, here: RegionView) -> Outcome:
         """Let `clear_bin` push a piece away from the walls if the hand does not fit around it. Return a
@@ -204,18 +235,15 @@ class _BinClearing:
         self.retreat(push)
         return outcome
 
-    def _end(self, code: ErrorCode, message: str) -> Outcome:
-        return Outcome(code, message, self.counts.as_dict())
-
     def retreat(self, grasp: Grasp) -> None:
-        """Let `clear_bin` retreat from a grasp: open the fingers, move straight up to the height of the
-        lift, or as far as possible, and leave the camera's view.
+        """Let `clear_bin` retreat from a grasp: open the fingers and move straight up to the height of the
+        lift, or as far as possible.
 
         The fingers open only if they press on an object, and at most to their opening [m] before the grasp:
         the hand or the neighboring pieces may have moved since.
         """
         ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
-        detach_held(ctx)
+        detach_held(ctx, gripper)
         reading = ctx.driver.gripper(gripper.name)
         if holds(reading, s.thinnest):
             width = min(reading.width + t.release_margin, grasp.opening)
@@ -225,7 +253,7 @@ class _BinClearing:
         lifted = float(now[2] - grasp.T_object_tcp.translation[2])
         if (rest := s.lift - lifted) > LIFTED:
             self._try_straight("retreat", rest, touching)
-        self._leave_view()
+        self._has_failed = True
 
     def _try_straight(self, name: str, rise: float, allow: tuple[tuple[str, tuple[str, ...]], ...]) -> None:
         """Let `clear_bin` move the hand straight up by `rise` [m]. If no motion is found, the hand stays."""
@@ -242,6 +270,7 @@ class _BinClearing:
         can reach.
         """
         ctx, group = self.ctx, self.gripper.arm_group
+        self._has_failed = False
         for name in ctx.base.model.named_states.get(group, {}):
             stage = Connect(f"move to {name}", group, ctx.settings.free, goal=NamedGoal(name))
             solution, _ = plan_stages(ctx, [stage], f"move to {name}")
@@ -249,21 +278,21 @@ class _BinClearing:
                 perform_all(ctx, solution.steps)
                 return
 
-    def _put(self, grasp: HeapGrasp, source: WorkRegion, tray: WorkRegion, look: Look) -> Outcome:
-        """Let `clear_bin` release a picked object over the lowest point of the tray. Return FAILURE if the
-        tray is full.
+    def _plan_put(self, grasp: HeapGrasp, source: WorkRegion) -> tuple[PartialSolution | None, Outcome]:
+        """Let `clear_bin` plan the release of a picked object over the lowest point of the tray. Return
+        FAILURE if the tray is full.
         """
-        ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
-        seen = view_region(ctx, look, tray, s)
+        ctx, gripper, s, t, tray = self.ctx, self.gripper, self.settings, self.ctx.settings, self._tray
+        seen = view_region(ctx, self._look_at_tray, tray, s)
         if isinstance(seen, Outcome):
-            return seen
+            return None, seen
         points = lowest_points(seen, s)
         if not points or points[0][2] > tray.floor + s.pile:
             self._put_back(grasp)
             lowest = f"the lowest place is {1000 * (points[0][2] - tray.floor):.0f} mm up" if points else ""
             room = f"{lowest}, at most {1000 * s.pile:.0f} mm are allowed" if points else "it is too small"
             text = f"full: no room {tray.name}, {room}; what was held lies {source.name} again"
-            return Outcome(ErrorCode.FAILURE, f"{text} (empty the tray, or a greater `pile`)")
+            return None, Outcome(ErrorCode.FAILURE, f"{text} (empty the tray, or a greater `pile`)")
         hang = float(grasp.T_object_tcp.translation[2]) - source.floor + s.gap
         stages: list[Stage] = [
             ChooseReleasePoint(points, hang, gripper, t.near, t.lower_distance),
@@ -275,25 +304,39 @@ class _BinClearing:
             ),
         ]
         solution, outcome = plan_stages(ctx, stages, f"put {tray.name}")
-        if solution is not None:
-            outcome = perform_all(ctx, solution.steps)
-            if outcome.ok:
-                self.counts.put += 1
-                return outcome
+        if solution is None:
+            self._let_go(grasp, outcome)
+        return solution, outcome
+
+    def _put(self, solution: PartialSolution, grasp: HeapGrasp) -> Outcome:
+        """Let `clear_bin` perform the planned release over the tray."""
+        outcome = perform_all(self.ctx, solution.steps)
+        if outcome.ok:
+            self.counts.put += 1
+        else:
+            self._let_go(grasp, outcome)
+        return outcome
+
+    def _let_go(self, grasp: HeapGrasp, outcome: Outcome) -> None:
+        """Let `clear_bin` release an object that did not get into the tray. A canceled task keeps it."""
+        ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
         if outcome.code is not ErrorCode.PREEMPTED:
             self.counts.dropped += not holds(ctx.driver.gripper(gripper.name), s.thinnest)
-            detach_held(ctx)
+            detach_held(ctx, gripper)
             CommandGripper("open", gripper, grasp.opening, gripper.max_force, t.release_settle).perform(ctx)
-            self._leave_view()
-        return outcome
+            self._has_failed = True
 
     def _put_back(self, grasp: HeapGrasp) -> None:
         """Let `clear_bin` put a picked object back into the bin: lower it along the path on which it was
         lifted, and release it.
         """
-        touching = ((HELD, (HEAP, self.bin)), (HEAP, self.gripper.hand_links))
+        touching = ((held_object(self.gripper), (HEAP, self.bin)), (HEAP, self.gripper.hand_links))
         self._try_straight("lay back", self.settings.gap - self.settings.lift, touching)
         self.retreat(grasp)
+
+
+def _given_up(last: str, where: Iterable[str]) -> Outcome:
+    return Outcome(ErrorCode.FAILURE, f"given up, {last}; pieces still seen: {', '.join(where)}")
 
 
 class _PickFromHeap(Pick):
@@ -311,6 +354,7 @@ class _PickFromHeap(Pick):
     def plan(self) -> tuple[PartialSolution | None, Outcome]:
         ctx, gripper, s = self._clearing.ctx, self._clearing.gripper, self._clearing.settings
         counts, t = self._clearing.counts, ctx.settings
+        touching = ((held_object(gripper), (HEAP, self._clearing.bin)), (HEAP, gripper.hand_links))
         text = f"{self._here.count} pieces {self._here.region.name}, the hand fits around none of them"
         solution, outcome = None, Outcome(ErrorCode.PLANNING_FAILED, text)
         for grasps in self._candidates():
@@ -318,7 +362,7 @@ class _PickFromHeap(Pick):
                 ChooseFromHeap(grasps, gripper, t.near, t.approach_distance), gripper, t,
                 CloseOnHeap(gripper, self._here.region.floor, t.grasp_settle, s.thinnest),
                 MoveStraight("lift", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, s.lift),
-                         allow=((HELD, (HEAP, self._clearing.bin)), (HEAP, gripper.hand_links))),
+                             allow=touching),
                 RunSteps("check grasp", (CheckObjectInFingers(gripper, s.thinnest),)),
             )  # fmt: skip
             solution, outcome = plan_stages(ctx, stages, self.label)

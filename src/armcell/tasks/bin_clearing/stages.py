@@ -28,8 +28,6 @@ from armcell.tasks.task import holding_condition
 
 HEAP = "heap"
 """Name of the camera's points in the bin, in the planning scene."""
-HELD = "held object"
-"""Name of the held object in the planning scene."""
 FREE = 0.008  # [m] opening beyond the held width at which an object has left the fingers
 MOVES = 3e-4  # [m] by which fingers that move open within `STOPPED`
 STOPPED = 0.1  # [s]
@@ -74,19 +72,23 @@ class CloseOnHeap:
     thinnest: float
     name: str = "close"
     requires = ("grasp",)
-    provides = (holding_condition(HELD),)
+
+    @property
+    def provides(self) -> tuple[str, ...]:
+        return (holding_condition(held_object(self.gripper)),)
 
     def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         grasp: HeapGrasp = solution.data["grasp"]
+        held = held_object(self.gripper)
         bottom = self.floor + 0.002
         T_tcp_box = SE3.from_xyz(0.0, 0.0, _below_tcp(grasp, (grasp.top + bottom) / 2))
         half = min(grasp.reach, WIDEST)
         box = Box(2 * half, max(grasp.width, 0.004), max(grasp.top - bottom, 0.004))
         scene = solution.scene.with_state(finger_state(self.gripper, grasp.width))
         item = CollisionObject.single(
-            HELD, box, scene.frame_pose(self.gripper.tcp_link) @ T_tcp_box, movable=True
+            held, box, scene.frame_pose(self.gripper.tcp_link) @ T_tcp_box, movable=True
         )
-        scene = scene.with_object(item).with_attached(HELD, self.gripper.tcp_link, self.gripper.hand_links)
+        scene = scene.with_object(item).with_attached(held, self.gripper.tcp_link, self.gripper.hand_links)
         yield solution.then(
             GripUntilForce(self.gripper, grasp.force, self.settle, self.thinnest, box, T_tcp_box), scene=scene
         )
@@ -140,13 +142,20 @@ class ReleaseAboveTray:
     settle: float
     thinnest: float
     name: str = "open"
-    requires = (holding_condition(HELD),)
-    consumes = (holding_condition(HELD),)
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        return (holding_condition(held_object(self.gripper)),)
+
+    @property
+    def consumes(self) -> tuple[str, ...]:
+        return self.requires
 
     def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
+        held = held_object(self.gripper)
         width = min(self.gripper.width_in(solution.scene.state) + self.margin, self.gripper.max_width)
         scene = with_contacts(
-            solution.scene.with_detached(HELD).without_object(HELD), ((HEAP, self.gripper.hand_links),)
+            solution.scene.with_detached(held).without_object(held), ((HEAP, self.gripper.hand_links),)
         )
         grip = CommandGripper("open", self.gripper, width, self.gripper.max_force, self.settle)
         if reason := finger_collision(scene, [grip], padded=True):
@@ -199,9 +208,9 @@ class GripUntilForce:
         return DONE
 
     def _held(self, scene: PlanningScene) -> PlanningScene:
-        T = scene.frame_pose(self.gripper.tcp_link) @ self.T_tcp_shape
-        item = CollisionObject.single(HELD, self.shape, T, movable=True)
-        return scene.with_object(item).with_attached(HELD, self.gripper.tcp_link, self.gripper.hand_links)
+        held, T = held_object(self.gripper), scene.frame_pose(self.gripper.tcp_link) @ self.T_tcp_shape
+        item = CollisionObject.single(held, self.shape, T, movable=True)
+        return scene.with_object(item).with_attached(held, self.gripper.tcp_link, self.gripper.hand_links)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +238,7 @@ class Drop:
 
     def perform(self, ctx: TaskContext) -> Outcome:
         outcome = staged(ctx, StageReport(self.grip.name), lambda: self._open(ctx))
-        detach_held(ctx)
+        detach_held(ctx, self.grip.gripper)
         return outcome
 
     def _open(self, ctx: TaskContext) -> Outcome:
@@ -260,11 +269,17 @@ def holds(reading: GripperReading, thinnest: float) -> bool:
     return reading.width > thinnest and reading.force_per_finger > 1.0
 
 
-def detach_held(ctx: TaskContext) -> None:
+def held_object(gripper: Gripper) -> str:
+    """Return the name that bin clearing gives to the unknown object in a hand, in the planning scene."""
+    return f"object in {gripper.name}"
+
+
+def detach_held(ctx: TaskContext, gripper: Gripper) -> None:
     """Detach the object that the hand holds in bin clearing, and remove it from the planning scene."""
+    held = held_object(gripper)
 
     def without_held(scene: PlanningScene) -> PlanningScene:
-        scene = scene.with_detached(HELD) if HELD in scene.attached else scene
-        return scene.without_object(HELD) if HELD in scene.objects else scene
+        scene = scene.with_detached(held) if held in scene.attached else scene
+        return scene.without_object(held) if held in scene.objects else scene
 
     ctx.change_scene(without_held)

@@ -144,10 +144,14 @@ def view_region(
 ) -> RegionView | Outcome:
     """Take a new image of a work region for bin clearing. Return the region's height map with the visible
     pieces, or a failure outcome if the image is unusable.
+
+    The image is taken when no other arm hides the region.
     """
     report = StageReport(f"look {region.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
     image = look()
+    while ctx.await_view(_view_of(region, image)):
+        image = look()
     trouble = check_image(image, s.max_age, ctx.driver.now)
     report.ok, report.error = trouble is None, "" if trouble is None else trouble.message
     ctx.reports.append(report)
@@ -157,7 +161,7 @@ def view_region(
     (x0, y0), (x1, y1) = region.rectangle
     room = s.hand_room
     low, high = (x0 - room, y0 - room), (x1 + room, y1 + room)
-    seen = height_map(image, ctx.scene(), low, high, region.floor, s.resolution)
+    seen = height_map(image, ctx.whole_scene(), low, high, region.floor, s.resolution)
     inside = seen.cells_within(*region.rectangle)
     for other in region.without:
         inside &= ~seen.cells_within(*other.outline)
@@ -168,6 +172,13 @@ def view_region(
     bare = inside & (labels < 0) & (seen.heights <= region.floor + s.above_floor)
     level = replace(seen, heights=np.where(bare, region.floor, seen.heights))
     return RegionView(region, level, labels, inside)
+
+
+def _view_of(region: WorkRegion, image: CameraImage) -> NDArray[np.float64]:
+    """Return the corners (5, 3) [m, world] of the pyramid through which a camera sees a work region."""
+    (x0, y0), (x1, y1) = region.rectangle
+    ground = [(x, y, region.floor) for x in (x0, x1) for y in (y0, y1)]
+    return np.vstack([image.T_world_camera.translation, ground])
 
 
 def _without_contained(
