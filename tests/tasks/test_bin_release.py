@@ -1,4 +1,4 @@
-"""Release of an object over the tray: fingers that something stops have released an object that is free."""
+"""Hand and heap: release over the tray, a wall between the fingers, fingers that closed on nothing."""
 
 from __future__ import annotations
 
@@ -7,9 +7,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from armcell.core import ErrorCode
+from armcell.core import SE3, Box, ErrorCode, PointCloud
+from armcell.drivers import GripperReading
+from armcell.grasping import HeapGrasp
+from armcell.model import load_robot
+from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks import TaskSettings
-from armcell.tasks.bin_clearing.stages import FREE, Drop
+from armcell.tasks.bin_clearing import BinClearingCounts, BinClearingSettings
+from armcell.tasks.bin_clearing.clear_bin import _BinClearing
+from armcell.tasks.bin_clearing.stages import FREE, HEAP, CloseOnHeap, Drop
+from armcell.tasks.search import PartialSolution, SearchState
+from armcell.tasks.stages.grasp import finger_state
 from armcell.tasks.steps import CommandGripper
 
 HELD = 0.030  # [m]
@@ -57,3 +65,56 @@ def test_fingers_that_do_not_open_have_not_released_it():
     outcome, fingers, _ = drop(HELD + 0.001)
     assert outcome.code is ErrorCode.CONTROL_FAILED and "wanted 50.0 mm" in outcome.message
     assert fingers.now >= TaskSettings().gripper_timeout
+
+
+def at_grasp(wall: float | None) -> tuple[PlanningScene, HeapGrasp]:
+    """The open hand around a piece of a heap, with a thin wall at a distance [m] from its middle."""
+    model = load_robot("ur10_gripper")
+    gripper, scene = model.gripper(), PlanningScene.of(model).with_state(model.named_state("arm", "home"))
+    scene = scene.with_state(finger_state(gripper, 0.08))
+    tcp = scene.frame_pose(gripper.tcp_link)
+    heap = CollisionObject.single(HEAP, PointCloud([tcp.translation], 0.006))
+    scene = scene.with_object(heap)
+    if wall is not None:
+        scene = scene.with_object(
+            CollisionObject.single("bin", Box(0.1, 0.004, 0.03), tcp @ SE3.from_xyz(0, wall, 0))
+        )
+    z = float(tcp.translation[2])
+    return scene, HeapGrasp("piece", tcp, 0.07, 0.08, 30.0, 1.0, top=z + 0.02)
+
+
+@pytest.mark.parametrize("wall, rejected", [(None, False), (0.02, True), (-0.03, True), (0.12, False)])
+def test_a_grasp_with_a_wall_between_the_fingers_is_rejected(wall, rejected):
+    """The image does not show a wall below an object that leans over it."""
+    scene, grasp = at_grasp(wall)
+    planning = SearchState(TaskSettings(), 0)
+    stage = CloseOnHeap(scene.model.gripper(), float(grasp.T_object_tcp.translation[2]) - 0.03, 0.1, 0.0005)
+    found = list(stage.propose(PartialSolution(scene, data={"grasp": grasp}), planning))
+    assert len(found) == (0 if rejected else 1)
+    if rejected:
+        assert "bin" in planning.rejections.summary()
+
+
+@pytest.mark.parametrize(
+    "reading, opens_to",
+    [
+        (GripperReading(-0.0001, 0.0, None), 0.012),  # nothing, or sheet metal that is thinner than the error
+        (GripperReading(0.03, 30.0, None), 0.042),
+        (GripperReading(0.08, 0.0, None), None),  # it has not closed
+    ],
+)
+def test_after_a_failed_grasp_fingers_that_have_closed_open_a_little(reading, opens_to, monkeypatch):
+    scene, grasp = at_grasp(None)
+    opened: list[float] = []
+    ctx = SimpleNamespace(
+        driver=SimpleNamespace(gripper=lambda name: reading), settings=TaskSettings(release_margin=0.012),
+        change_scene=lambda make: make(scene), scene=lambda: scene.with_state(scene.state),
+    )  # fmt: skip
+    monkeypatch.setattr(CommandGripper, "perform", lambda grip, ctx: opened.append(grip.width))
+    monkeypatch.setattr(_BinClearing, "_try_straight", lambda *a: None)
+    look = lambda: None  # noqa: E731
+    clearing = _BinClearing(
+        ctx, scene.model.gripper(), "bin", BinClearingSettings(), BinClearingCounts(), (), look, None
+    )
+    clearing.retreat(grasp)
+    assert opened == ([] if opens_to is None else [pytest.approx(opens_to)])

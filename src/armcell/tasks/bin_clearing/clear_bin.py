@@ -239,14 +239,16 @@ class _BinClearing:
         """Let `clear_bin` retreat from a grasp: open the fingers and move straight up to the height of the
         lift, or as far as possible.
 
-        The fingers open only if they press on an object, and at most to their opening [m] before the grasp:
-        the hand or the neighboring pieces may have moved since.
+        After a grasp, the fingers open a little if they press on an object or have closed completely, and at
+        most to their opening [m] before the grasp: the hand or the neighboring pieces may have moved since.
+        After they have closed completely, thin sheet metal may still be between them.
         """
         ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
         detach_held(ctx, gripper)
         reading = ctx.driver.gripper(gripper.name)
-        if holds(reading, s.thinnest):
-            width = min(reading.width + t.release_margin, grasp.opening)
+        width = min(max(reading.width, 0.0) + t.release_margin, grasp.opening)
+        closed = holds(reading, s.thinnest) or reading.width <= s.thinnest
+        if isinstance(grasp, HeapGrasp) and closed:
             CommandGripper("open", gripper, width, gripper.max_force, t.release_settle).perform(ctx)
         touching = ((HEAP, gripper.hand_links), (self.bin, gripper.hand_links))
         now = ctx.scene().frame_pose(gripper.tcp_link).translation

@@ -79,6 +79,12 @@ class CloseOnHeap:
 
     def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         grasp: HeapGrasp = solution.data["grasp"]
+        closing = CommandGripper(self.name, self.gripper, 0.0, grasp.force)
+        # an object that leans over a wall hides this wall from the camera
+        open_hand = with_contacts(solution.scene, ((HEAP, self.gripper.hand_links),))
+        if reason := finger_collision(open_hand, [closing]):
+            planning.reject(self.name, solution.data.get("candidate", ""), reason)
+            return
         held = held_object(self.gripper)
         bottom = self.floor + 0.002
         T_tcp_box = SE3.from_xyz(0.0, 0.0, _below_tcp(grasp, (grasp.top + bottom) / 2))

@@ -84,7 +84,9 @@ def finger_collision(
     columns = scene.model.columns(names)
     ends = np.array([scene.positions[columns], [g.gripper.joint_position(g.width) for g in grips]])
     middle, half = ends.mean(axis=0), np.abs(ends[1] - ends[0]) / 2
-    if trajectory is None:
+    if trajectory is None and len(grips) == 1:
+        points, room, joints = ends, np.zeros(1), names
+    elif trajectory is None:
         points, room, joints = middle[None], half, names
     else:
         _, arm, off = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
