@@ -8,21 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 from armcell.core import SE3, InputError, JointState, Octree, Shape, UnknownNameError
 from armcell.core.checks import checked
 from armcell.scene.objects import CollisionObject, Color, ObjectType
-from armcell.scene.scene import WORLD, PlanningScene
+from armcell.scene.scene import WORLD, Change, PlanningScene
 
 OCTOMAP = "<octomap>"
 """Name of the octomap object, as in MoveIt, for example to allow contact with the octomap."""
-
-
-class Change(Protocol):
-    """One change in a scene diff. `applied_to` returns the changed planning scene."""
-
-    def applied_to(self, scene: PlanningScene) -> PlanningScene: ...
 
 
 @dataclass(frozen=True, eq=False)
