@@ -333,15 +333,15 @@ class SE3:
         which is faster than one call per fraction.
         """
         fractions = float_array(list(fractions), (None,), "fractions")
+        f = fractions[:, None]
+        positions = (1 - f) * self.translation + f * other.translation
         rotvec = (self.rotation.inverse() @ other.rotation).log()
-        turns = float(np.linalg.norm(rotvec)) > 1e-12  # less is rounding
-        return [
-            SE3(
-                self.rotation @ SO3.exp(f * rotvec) if turns else self.rotation,
-                (1 - f) * self.translation + f * other.translation,
-            )
-            for f in fractions
-        ]
+        angle = float(np.linalg.norm(rotvec))
+        if angle < 1e-12:  # less is rounding
+            return [SE3(self.rotation, position) for position in positions]
+        K, turned = skew(rotvec / angle), fractions[:, None, None] * angle  # Rodrigues' formula, as in `exp`
+        matrices = self.rotation.matrix @ (np.eye(3) + np.sin(turned) * K + (1 - np.cos(turned)) * (K @ K))
+        return [SE3(SO3(R), position) for R, position in zip(matrices, positions, strict=True)]
 
     def __repr__(self) -> str:
         xyz = ", ".join(f"{v:.4f}" for v in self.translation)
