@@ -23,6 +23,10 @@ _IDENTITY = np.eye(3)
 _ORTHOGONAL = 1e-4 + 1e-5 * _IDENTITY
 """Largest deviation of R @ R.T from the identity that counts as rounding."""
 
+_ROWS = 1 << 14
+"""Number of points that one matrix product transforms. OpenBLAS distributes larger products (more than 2^18
+multiplications) among threads, whose spinning costs up to 0.1 s if the processor's cores are busy."""
+
 QUAT_NORM_TOLERANCE = 1e-3
 """Largest deviation of a quaternion's norm from 1 that counts as rounding, not as a mistake."""
 
@@ -305,7 +309,14 @@ class SE3:
         p = points if isinstance(points, np.ndarray) else float_array(points, None, "points", finite=False)
         if p.shape[-1:] != (3,):
             raise InputError(f"points must have shape (..., 3), not {p.shape}")
-        return p @ self.rotation.matrix.T + self.translation
+        R = self.rotation.matrix
+        if p.ndim != 2 or len(p) <= _ROWS:
+            return p @ R.T + self.translation
+        moved = np.empty(p.shape)
+        for first in range(0, len(p), _ROWS):
+            rows = np.matmul(p[first : first + _ROWS], R.T, out=moved[first : first + _ROWS])
+            rows += self.translation
+        return moved
 
     def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> SE3:
         """Return a pose (SE3) that is translated by x, y, z [m] along the axes of its parent frame."""
