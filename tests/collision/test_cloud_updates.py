@@ -156,7 +156,7 @@ def test_adjacent_tiles_contain_each_point_once():
 def test_updates_that_are_not_possible():
     cloud = PointCloud(np.zeros((3, 3)), RADIUS)
     for clear in ([0, 1, 0], np.zeros(4, bool), np.zeros((3, 3), bool)):
-        with pytest.raises(InputError, match=r"mask of 3 points"):
+        with pytest.raises(InputError, match=r"boolean array of shape \(3,\)"):
             cloud.updated(clear=clear)
     with pytest.raises(InputError, match="NaN"):
         cloud.updated([[0, 0, np.nan]])

@@ -98,7 +98,7 @@ class PointCloud:
             mask &= along < end[k]
         return mask
 
-    def updated(self, points: ArrayLike = (), clear: ArrayLike | None = None) -> PointCloud:
+    def updated(self, points: ArrayLike = (), clear: Mask | None = None) -> PointCloud:
         """Return the point cloud after a change: without the points that the mask `clear` (n,) selects, and
         with the additional `points` (m, 3) [m] at its end.
 
@@ -109,10 +109,11 @@ class PointCloud:
             InputError: `clear` is not a mask of the cloud's points, or an additional point is not finite.
         """
         more = _rows("point cloud", "additional points", points)
-        mask = np.zeros(len(self.points), bool) if clear is None else np.asarray(clear)
-        if mask.dtype != bool or mask.shape != (len(self.points),):
+        count = len(self.points)
+        mask = np.zeros(count, bool) if clear is None else clear
+        if not isinstance(mask, np.ndarray) or mask.dtype != bool or mask.shape != (count,):
             raise InputError(
-                f"clear must be a mask of {len(self.points)} points, not {mask.dtype} of shape {mask.shape}",
+                f"clear must be a boolean array of shape ({count},), not {clear!r:.60}",
                 hint="use inside() or robot_mask()",
             )
         kept = ~mask

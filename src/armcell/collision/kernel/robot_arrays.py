@@ -205,6 +205,10 @@ class _Builder:
         The result is cached for all poses of bodies that are not placed for good.
         """
         pairs = self._pairs(bodies)
+        # The kernel tests the groups of a pair's first body against the whole second body: that leaves few
+        # groups of the larger body, where the other order would leave nearly all groups of the smaller one.
+        radius = arrays["body_sphere"][pairs, 3]
+        pairs = np.where(radius[:, :1] < radius[:, 1:], pairs[:, ::-1], pairs)
         key = (
             self.chain,
             pairs.tobytes(),
