@@ -135,60 +135,82 @@ NAMES = {
 }
 """Renamed class or function with its package -> its new package and name, both without `armcell.`."""
 
-MEMBERS = {
-    "about": "metadata",
-    "both": "combined",
-    "centre_of_mass": "center_of_mass",
-    "centres": "centers",
-    "checked": "check_interface",
-    "clear": "request_start",
-    "code": "outcome_code",
-    "cure": "hint",
-    "draft": "solution",
-    "drafts": "propose",
-    "executed": "execute_trajectory",
-    "find_elsewhere": "add_service_finder",
-    "forget_elsewhere": "remove_service_finder",
-    "gives": "provides",
-    "inv": "inverse",
-    "keeps_time": "follows_clock",
-    "lay_downs": "intermediate_placements",
-    "listen": "add_listener",
-    "made_way": "yielded",
-    "measured": "object_poses",
-    "meet": "rendezvous",
-    "moved_unseen": "displaced_objects",
-    "needs": "requires",
-    "own": "close_on_shutdown",
-    "pace": "cycle_times",
-    "parts": "input_differences",
-    "place": "set_configuration",
-    "place_object": "set_object_pose",
-    "planned": "plan_response",
-    "play": "queue_trajectory",
-    "prepared": "chain_data",
-    "rehearse": "dry_run",
-    "rest": "stop_motions",
-    "rows": "torque_coefficients",
-    "send": "send_goal",
-    "set": "change_settings",
-    "set_present": "set_current_state",
-    "settled": "wait_until_idle",
-    "sieve": "grasp_filter",
-    "stage": "simulation",
-    "standing": "at_rest",
-    "stoppable": "cancel_on_stop_event",
-    "taker": "receiver",
-    "tidy": "array_converter",
-    "told": "plan_metadata",
-    "traffic": "coordinator",
-    "trajectory": "motion",
-    "trusted": "unchecked",
-    "unfinished": "unfinished_goals",
-    "unknown": "fail_unknown_function",
-    "watching": "monitor",
-}
-"""Renamed attribute, method or parameter -> its new name."""
+MEMBERS = (
+    ("about", "metadata"),
+    ("aim", "set_joint_targets"),
+    ("apart", "find_too_close"),
+    ("at_once", "thread_count"),
+    ("both", "combined"),
+    ("branch", "fork"),
+    ("centre_of_mass", "center_of_mass"),
+    ("centres", "centers"),
+    ("change", "edit_scene"),
+    ("checked", "check_interface"),
+    ("clear", "request_start"),
+    ("code", "outcome_code"),
+    ("cure", "hint"),
+    ("deviations", "residuals"),
+    ("draft", "solution"),
+    ("drafts", "propose"),
+    ("executed", "execute_trajectory"),
+    ("find_elsewhere", "add_service_finder"),
+    ("first_near", "first_too_close"),
+    ("forget_elsewhere", "remove_service_finder"),
+    ("gives", "provides"),
+    ("held", "held_object"),
+    ("hopeless", "should_stop"),
+    ("inv", "inverse"),
+    ("judged", "accepted"),
+    ("keeps_time", "follows_clock"),
+    ("lacks", "missing_policies"),
+    ("lay_downs", "intermediate_placements"),
+    ("least", "minimum"),
+    ("listen", "add_listener"),
+    ("made_way", "yielded"),
+    ("measured", "object_poses"),
+    ("meet", "rendezvous"),
+    ("moved_unseen", "displaced_objects"),
+    ("needs", "requires"),
+    ("offset", "desired"),
+    ("other", "others"),
+    ("own", "close_on_shutdown"),
+    ("pace", "cycle_times"),
+    ("parts", "input_differences"),
+    ("parts", "tasks"),
+    ("place", "set_configuration"),
+    ("place_object", "set_object_pose"),
+    ("planned", "plan_response"),
+    ("play", "queue_trajectory"),
+    ("prepared", "chain_data"),
+    ("rehearse", "dry_run"),
+    ("rest", "stop_motions"),
+    ("rows", "torque_coefficients"),
+    ("running", "others"),
+    ("send", "send_goal"),
+    ("set", "change_settings"),
+    ("set_present", "set_current_state"),
+    ("settled", "wait_until_idle"),
+    ("sieve", "grasp_filter"),
+    ("stage", "simulation"),
+    ("standing", "at_rest"),
+    ("stoppable", "cancel_on_stop_event"),
+    ("taker", "receiver"),
+    ("takes", "consumes"),
+    ("tell", "queue_event"),
+    ("tidy", "array_converter"),
+    ("told", "plan_metadata"),
+    ("traffic", "coordinator"),
+    ("trajectory", "motion"),
+    ("trusted", "unchecked"),
+    ("unfinished", "unfinished_goals"),
+    ("unknown", "fail_unknown_function"),
+    ("wanted", "goal"),
+    ("watching", "monitor"),
+    ("way_in", "pre_grasp_approach"),
+    ("way_out", "post_grasp_retreat"),
+    ("works", "motions"),
+)
+"""Renamed attributes, methods and parameters: old name, new name."""
 
 KEYS = {
     "laid_down": "intermediate_placements",
@@ -208,8 +230,9 @@ def new_name(error: BaseException) -> str:
     elif isinstance(error, AttributeError) and error.name:
         if isinstance(error.obj, ModuleType):
             found = _new_member_of_package(error.obj.__name__, error.name)
-        elif (new := MEMBERS.get(error.name)) and hasattr(error.obj, new):
-            found = f"{error.name} is now {new}" if _is_ours(error.obj) else None
+        elif _is_ours(error.obj):
+            new = [new for old, new in MEMBERS if old == error.name and hasattr(error.obj, new)]
+            found = f"{error.name} is now {new[0]}" if new else None
     elif isinstance(error, KeyError):
         old = str(error).strip("'")
         found = f"{old} is now {KEYS[old]}" if old in KEYS else None
@@ -244,9 +267,10 @@ def _new_member_of_package(module: str, name: str) -> str | None:
 
 def _new_parameter(function: str, name: str) -> str | None:
     """Return the new name of a parameter, if a function or class of a loaded package has it."""
-    new = MEMBERS.get(name)
-    packages = [m for n, m in sys.modules.items() if n.partition(".")[0] == "armcell"] if new else []
+    possible = {new for old, new in MEMBERS if old == name}
+    packages = [m for n, m in sys.modules.items() if n.partition(".")[0] == "armcell"] if possible else []
     called = (getattr(package, function, None) for package in packages)
-    if any(new in inspect.signature(call).parameters for call in called if callable(call)):
-        return f"{name} is now {new}"
+    for call in filter(callable, called):
+        if new := possible & inspect.signature(call).parameters.keys():
+            return f"{name} is now {new.pop()}"
     return None
