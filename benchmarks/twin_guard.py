@@ -23,7 +23,8 @@ from pathlib import Path
 import numpy as np
 
 from armcell.cell import Cell, LiveCell, load
-from armcell.cell.twin import learn_thresholds, thresholds_file
+from armcell.cell.twin import thresholds_file
+from armcell.cell.twin_learning import learn_thresholds
 from armcell.core import InputError, JointGoal, JointState, PlanRequest
 from armcell.drivers import Driver
 from armcell.drivers.ur.dashboard import DashboardClient

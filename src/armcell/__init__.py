@@ -12,6 +12,7 @@ Plan like MoveIt, grasp in real physics, run the same task on simulated or real 
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any
@@ -134,6 +135,22 @@ def __getattr__(name: str) -> Any:
     if name in _SUBPACKAGES:
         return import_module(f"armcell.{name}")
     raise AttributeError(f"module 'armcell' has no attribute {name!r}")
+
+
+def _report_with_new_name(
+    kind: type[BaseException], error: BaseException, trace: Any, report: Any = sys.excepthook
+) -> None:
+    """Report an exception that ends the program. If the program used a name that armcell has renamed, the
+    traceback ends with the new name.
+    """
+    from armcell._renamed import new_name
+
+    if note := new_name(error):
+        error.add_note(note)
+    report(kind, error, trace)
+
+
+sys.excepthook = _report_with_new_name
 
 
 def __dir__() -> list[str]:

@@ -34,6 +34,15 @@ def test_group_axioms(a, b, c):
     assert_same((a @ b).inverse(), b.inverse() @ a.inverse(), 1e-8)
 
 
+@pytest.mark.parametrize("count", [(1 << 14) - 1, 1 << 14, (1 << 14) + 1, 100_000])
+def test_many_points(count):
+    rng = np.random.default_rng(0)
+    T, points = SE3(SO3.exp(rng.normal(size=3)), rng.normal(size=3)), rng.normal(size=(count, 3))
+    moved, few = T.apply(points), rng.integers(0, count, 50)
+    np.testing.assert_allclose(moved[few], [T.apply(p) for p in points[few]], atol=1e-12)
+    np.testing.assert_allclose(T.inverse().apply(moved), points, atol=1e-12)
+
+
 @given(poses, poses, vectors)
 def test_a_product_maps_points_one_after_the_other(a, b, point):
     np.testing.assert_allclose((a @ b).apply(point), a.apply(b.apply(point)), atol=1e-8)

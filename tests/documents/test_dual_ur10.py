@@ -18,7 +18,7 @@ from armcell.model import load_robot
 from armcell.ros import Bus
 from armcell.ros.nodes import ServedCell
 from armcell.sim.gain_files import with_gains
-from armcell.sim.joint_gains import effective_gains
+from armcell.sim.settings import effective_gains
 from armcell.sim.step_response import step_responses
 
 CELL = "dual_ur10"

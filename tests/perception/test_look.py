@@ -13,6 +13,7 @@ from tests.sizes import sizes
 from armcell.core import SE3, SO3, Box, CameraImage, ErrorCode, InputError, Mesh, Pinhole
 from armcell.model import load_robot
 from armcell.perception import DetectedObject, LookSettings, look, pose_error
+from armcell.perception.cloud import clusters
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import Camera, DepthNoise, SimWorld, look_at, take_image
 
@@ -207,3 +208,16 @@ def test_the_robot_and_fixed_things_are_not_objects():
     assert [o.name for o in sight.objects] == ["cube"]
     assert pose_error(cube.shapes, sight["cube"].T_world_object, cube.T_world_object)[0] < 0.002
     assert abs(sight.plane.normal[2]) > 0.9999 and sight.plane.offset == pytest.approx(0.0, abs=5e-4)
+
+
+def test_small_parts_of_a_thin_wall_are_one_cluster():
+    """A wall one pixel wide falls into parts; parts that are farther away or tiny are noise."""
+    v, u = np.mgrid[:30, :200] * 0.002
+    points = np.dstack([u, v, np.zeros_like(u)])
+    wanted = np.zeros((30, 200), bool)
+    for start in (0, 23, 46, 150):  # 20 px each; three of them 8 mm apart
+        wanted[5, start : start + 20] = True
+    wanted[[15, 20, 25], [10, 12, 14]] = True
+    (found,) = clusters(points, wanted, gap=0.015, smallest=40)
+    assert len(found) == 60 and found.max() % 200 == 65
+    assert not clusters(points, wanted, gap=0.005, smallest=40)

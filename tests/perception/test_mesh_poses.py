@@ -35,6 +35,12 @@ def notched() -> Mesh:
     return as_mesh(trimesh.util.concatenate(parts))
 
 
+def inside_out() -> Any:
+    box = trimesh.creation.box((0.02, 0.02, 0.02), SE3.from_xyz(0.2, 0, 0).matrix)
+    box.invert()
+    return box
+
+
 def seen(mesh: Mesh, T: SE3, *eyes: tuple[float, float, float], noise: DepthNoise = STEREO):
     item = CollisionObject.single("thing", mesh, T, movable=True)
     scene = PlanningScene.of(load_robot("parallel_gripper"), objects=[TABLE, item])
@@ -44,6 +50,13 @@ def seen(mesh: Mesh, T: SE3, *eyes: tuple[float, float, float], noise: DepthNois
         for k, eye in enumerate(eyes)
     ]
     return item, scene, images
+
+
+def whole_image(mesh: Mesh, T: SE3) -> D.DepthEvidence:
+    _, _, (image,) = seen(mesh, T, FRONT, noise=DepthNoise())
+    assert image.depth is not None
+    kinds = np.full(image.depth.shape, D.OWN, np.uint8)
+    return D.cut_out(image.depth, kinds, image.pinhole, image.T_world_camera.inverse(), 0.003, 0, 10**6)
 
 
 def found(mesh: Mesh, T: SE3, *eyes: tuple[float, float, float]):
@@ -59,15 +72,38 @@ def found(mesh: Mesh, T: SE3, *eyes: tuple[float, float, float]):
 def test_a_drawn_mesh_is_what_the_camera_sees():
     """The renderer of the simulation is the reference, at every pixel but those on edges."""
     T = SE3(SO3.exp([0.2, -0.4, 0.7]), np.array([0.6, 0.0, 0.1]))
-    item, _, (image,) = seen(bracket(), T, FRONT, noise=DepthNoise())
-    assert image.depth is not None
-    kinds = np.full(image.depth.shape, D.OWN, np.uint8)
-    e = D.cut_out(image.depth, kinds, image.pinhole, image.T_world_camera.inverse(), 0.003, 0, 10**6)
+    e = whole_image(bracket(), T)
     drawn = np.empty(len(e.depth))
-    D.draw(*known_mesh(item.shapes).fine, T.rotation.matrix, T.translation, e, drawn)
+    D.draw(*known_mesh(((bracket(), SE3.identity()),)).fine, T.rotation.matrix, T.translation, e, drawn)
     # the support plane of the evidence is z = 0, as the top of the table
     off = np.abs(np.minimum(drawn, e.floor) - e.depth)[e.depth > 0]
     assert np.mean(off < 1e-4) > 0.99 and (np.isfinite(drawn)).sum() > 500
+
+
+def test_of_a_closed_mesh_only_the_front_is_drawn():
+    """The picture is that of all triangles. A body with inward normals makes its mesh open."""
+    T = SE3.from_xyz(0.6, 0, 0)
+    ring = as_mesh(trimesh.creation.annulus(0.03, 0.04, 0.06))
+    e = whole_image(ring, T)
+    vertices, faces, closed = known_mesh(((ring, SE3.identity()),)).fine
+    front, every = np.empty(len(e.depth)), np.empty(len(e.depth))
+    for drawn, culled in ((front, True), (every, False)):
+        D.draw(vertices, faces, culled, T.rotation.matrix, T.translation, e, drawn)
+    assert closed and np.isfinite(front).sum() > 500
+    assert np.mean((front == every)[np.isfinite(every)]) > 0.99  # a pixel exactly on an edge may differ
+    inward = as_mesh(trimesh.util.concatenate([trimesh.creation.box((0.1, 0.1, 0.1)), inside_out()]))
+    assert not known_mesh(((inward, SE3.identity()),)).fine[2]
+
+
+@pytest.mark.slow
+def test_no_pose_reaches_below_the_support():
+    """The hidden flat of a ball is on the table: tilted, the ball would reach into the table."""
+    ball = trimesh.creation.icosphere(4, 0.04)
+    ball.vertices[:, 2] = np.maximum(ball.vertices[:, 2], -0.0325)
+    item, sight, pose = found(as_mesh(ball), SE3.from_xyz(0.6, 0, 0.0325), ABOVE)
+    assert sight.ok, sight.message
+    assert np.arccos(pose.rotation.matrix[2, 2]) < np.deg2rad(3)
+    assert pose.distance_to(item.T_world_object)[0] < 0.001
 
 
 @pytest.mark.slow

@@ -16,7 +16,8 @@ from armcell.core import InputError, UnknownNameError
 from armcell.records.reader import read_record
 from armcell.sim import PhysicsSettings, SimWorld
 from armcell.sim.gain_files import gain_values, with_gains
-from armcell.sim.joint_gains import GainTable, JointGains, effective_gains
+from armcell.sim.joint_gains import GainTable, JointGains
+from armcell.sim.settings import effective_gains
 
 SEEDS = Path(__file__).parents[3] / "shared/seeds"
 ELBOW, WRIST = "left_elbow_joint", "left_wrist_3_joint"

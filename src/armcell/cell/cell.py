@@ -169,7 +169,7 @@ class Cell:
                 raise
             raise self._fail("physics/gains", error.reason, error.hint) from None
         settings = self._settings(PhysicsSettings, values, "physics")
-        check_joint_gains(settings, self.model, file=self.file, element="physics/joint_gains")
+        check_joint_gains(settings.joint_gains, self.model, file=self.file, element="physics/joint_gains")
         return settings
 
     def _sensors(self) -> Sensors3d | None:

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
-import armcell
-
-if TYPE_CHECKING:
-    from armcell.cell.cell import Cell
-import platform
-from importlib.metadata import PackageNotFoundError, version
+from armcell.cell.schema import CellSpec
+from armcell.model import RobotModel
+from armcell.scene import PlanningScene
+from armcell.sim import PhysicsSettings
+from armcell.tasks import TaskSettings
 
 REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
 
@@ -41,7 +42,23 @@ def _installed(package: str) -> str:
 ADDRESSES = ("host", "port", "own_host")  # network addresses of a real arm; no effect on motions
 
 
-def content_hashes(cell: Cell) -> dict[str, str]:
+class HashedCell(Protocol):
+    """Parts of a cell that its content hashes cover."""
+
+    @property
+    def file(self) -> Path: ...
+    @property
+    def spec(self) -> CellSpec: ...
+    @property
+    def model(self) -> RobotModel: ...
+    @property
+    def settings(self) -> TaskSettings: ...
+    @property
+    def physics(self) -> PhysicsSettings: ...
+    def scene(self) -> PlanningScene: ...
+
+
+def content_hashes(cell: HashedCell) -> dict[str, str]:
     """Return a content hash for each part of a cell that influences a run, by name.
     Together the hashes identify the cell.
 
@@ -73,14 +90,14 @@ def content_hashes(cell: Cell) -> dict[str, str]:
 @cache
 def code_hash() -> str:
     """Return the hash of armcell's own source code, which is part of a cell's identity."""
-    root, digest = Path(armcell.__file__).parent, hashlib.sha256()
+    root, digest = Path(__file__).parents[1], hashlib.sha256()
     for file in sorted(f for f in root.rglob("*") if f.suffix in (".py", ".script")):
         digest.update(f"{file.relative_to(root)} ".encode())
         digest.update(hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()[:32]
 
 
-def _script(cell: Cell) -> bytes:
+def _script(cell: HashedCell) -> bytes:
     file = cell.file.parent / (cell.spec.script or "")
     return file.read_bytes() if cell.spec.script is not None and os.path.isfile(file) else b""
 

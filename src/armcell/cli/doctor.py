@@ -386,7 +386,8 @@ def check_drive_strength(loaded: Any) -> Iterator[Finding]:
     import numpy as np
 
     from armcell.kinematics import InverseDynamics
-    from armcell.sim.joint_gains import arm_joints, effective_gains
+    from armcell.sim.joint_gains import arm_joints
+    from armcell.sim.settings import effective_gains
 
     model, physics = loaded.model, loaded.physics
     names = model.joint_names

@@ -51,7 +51,8 @@ def step_response(
             check_writable(file)
     from armcell.cell import load
     from armcell.sim.gain_files import with_gains
-    from armcell.sim.joint_gains import arm_joints, effective_gains
+    from armcell.sim.joint_gains import arm_joints
+    from armcell.sim.settings import effective_gains
     from armcell.sim.step_response import sag, step_responses
 
     loaded = load(cell)

@@ -21,7 +21,8 @@ def twin(
     leaves its thresholds.
     """
     from armcell.cell import load
-    from armcell.cell.twin import learn_thresholds, thresholds_file
+    from armcell.cell.twin import thresholds_file
+    from armcell.cell.twin_learning import learn_thresholds
     from armcell.core import InputError
     from armcell.drivers.real import kind_of, real_settings
     from armcell.planning import warm_up

@@ -1,5 +1,6 @@
 """Value types shared by all packages: poses, joints, shapes, requests, results and errors."""
 
+from armcell.core.cloud_shapes import Octree, PointCloud, finite_points
 from armcell.core.errors import ArmcellError, ErrorCode, InputError, MissingExtraError, UnknownNameError
 from armcell.core.events import Event, Observer, StateSample
 from armcell.core.geometry import (
@@ -8,12 +9,9 @@ from armcell.core.geometry import (
     Cone,
     Cylinder,
     Mesh,
-    Octree,
     Plane,
-    PointCloud,
     Shape,
     Sphere,
-    finite_points,
     is_closed,
     open_edges,
     with_small_holes_filled,

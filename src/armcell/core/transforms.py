@@ -23,6 +23,10 @@ _IDENTITY = np.eye(3)
 _ORTHOGONAL = 1e-4 + 1e-5 * _IDENTITY
 """Largest deviation of R @ R.T from the identity that counts as rounding."""
 
+_ROWS = 1 << 14
+"""Number of points that one matrix product transforms. OpenBLAS distributes larger products (more than 2^18
+multiplications) among threads, whose spinning costs up to 0.1 s if the processor's cores are busy."""
+
 QUAT_NORM_TOLERANCE = 1e-3
 """Largest deviation of a quaternion's norm from 1 that counts as rounding, not as a mistake."""
 
@@ -305,7 +309,14 @@ class SE3:
         p = points if isinstance(points, np.ndarray) else float_array(points, None, "points", finite=False)
         if p.shape[-1:] != (3,):
             raise InputError(f"points must have shape (..., 3), not {p.shape}")
-        return p @ self.rotation.matrix.T + self.translation
+        R = self.rotation.matrix
+        if p.ndim != 2 or len(p) <= _ROWS:
+            return p @ R.T + self.translation
+        moved = np.empty(p.shape)
+        for first in range(0, len(p), _ROWS):
+            rows = np.matmul(p[first : first + _ROWS], R.T, out=moved[first : first + _ROWS])
+            rows += self.translation
+        return moved
 
     def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> SE3:
         """Return a pose (SE3) that is translated by x, y, z [m] along the axes of its parent frame."""
@@ -333,15 +344,15 @@ class SE3:
         which is faster than one call per fraction.
         """
         fractions = float_array(list(fractions), (None,), "fractions")
+        f = fractions[:, None]
+        positions = (1 - f) * self.translation + f * other.translation
         rotvec = (self.rotation.inverse() @ other.rotation).log()
-        turns = float(np.linalg.norm(rotvec)) > 1e-12  # less is rounding
-        return [
-            SE3(
-                self.rotation @ SO3.exp(f * rotvec) if turns else self.rotation,
-                (1 - f) * self.translation + f * other.translation,
-            )
-            for f in fractions
-        ]
+        angle = float(np.linalg.norm(rotvec))
+        if angle < 1e-12:  # less is rounding
+            return [SE3(self.rotation, position) for position in positions]
+        K, turned = skew(rotvec / angle), fractions[:, None, None] * angle  # Rodrigues' formula, as in `exp`
+        matrices = self.rotation.matrix @ (np.eye(3) + np.sin(turned) * K + (1 - np.cos(turned)) * (K @ K))
+        return [SE3(SO3(R), position) for R, position in zip(matrices, positions, strict=True)]
 
     def __repr__(self) -> str:
         xyz = ", ".join(f"{v:.4f}" for v in self.translation)

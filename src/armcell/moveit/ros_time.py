@@ -5,7 +5,12 @@ from __future__ import annotations
 import functools
 from typing import Any, ClassVar
 
+from armcell.ros.bus import Clock
+
 SECOND = 1_000_000_000  # [ns]
+NO_SESSION = "no cell to talk to: run the script with `armcell run SCRIPT.py --cell CELL`"
+session_clocks: list[Clock] = []
+"""Clock of the open session of a ROS script, if there is one."""
 
 
 @functools.total_ordering
@@ -131,10 +136,14 @@ class Time(_Stamp):
 
     @staticmethod
     def now() -> Time:
-        """Return the current ROS time from the cell's clock, like rospy.Time.now."""
-        from armcell.moveit.session import current_session
+        """Return the current ROS time from the cell's clock, like rospy.Time.now.
 
-        return Time.from_sec(current_session().bus.clock.now())
+        Raises:
+            RuntimeError: no session is open.
+        """
+        if not session_clocks:
+            raise RuntimeError(NO_SESSION)
+        return Time.from_sec(session_clocks[-1].now())
 
     def __add__(self, other: Any) -> Any:
         return Time(0, self.to_nsec() + other.to_nsec()) if _is(other, Duration) else NotImplemented

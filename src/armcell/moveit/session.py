@@ -13,6 +13,7 @@ from armcell.cell import Cell, LiveCell
 from armcell.core import Event, InputError, JointTrajectory, StateSample
 from armcell.model import RobotModel
 from armcell.moveit.message_classes import MessageClasses
+from armcell.moveit.ros_time import NO_SESSION, session_clocks
 from armcell.ros import ActionClient, Bus, NameMap, Ros1Graph, Ros1Settings
 from armcell.ros.nodes import ServedCell, ServedPlanner
 from armcell.ros.robot_description import NAME
@@ -79,6 +80,7 @@ class Session:
         if _current:
             raise InputError("a session is open already", hint="close it first")
         _current.append(self)
+        session_clocks.append(self.bus.clock)
         try:
             if self.graph is not None:  # report a missing master before the cell starts
                 self.graph.reserve()
@@ -98,6 +100,7 @@ class Session:
             self.graph.close()
         self.served.close()
         _current.remove(self)
+        session_clocks.remove(self.bus.clock)
 
     def shut_down(self, reason: str) -> None:
         """Shut down the session of a ROS script, like rospy.signal_shutdown.
@@ -234,5 +237,5 @@ def current_session() -> Session:
         RuntimeError: no session is open.
     """
     if not _current:
-        raise RuntimeError("no cell to talk to: run the script with `armcell run SCRIPT.py --cell CELL`")
+        raise RuntimeError(NO_SESSION)
     return _current[-1]

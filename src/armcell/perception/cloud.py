@@ -19,6 +19,7 @@ from armcell.core.checks import float_array, is_number, require
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 MAX_TRIALS = 100_000
+_SPECK = 4  # [px] smaller parts of clusters are noise
 _SUBSET = 1500  # number of points with which trials are evaluated
 
 
@@ -61,14 +62,36 @@ def clusters(points: F64, wanted: NDArray[np.bool_], gap: float, smallest: int) 
         points: (h, w, 3) [m].
         wanted: (h, w) mask of the pixels to be clustered; their points are finite.
         gap: largest distance [m] between neighboring points of a cluster, up to two pixels apart.
-        smallest: clusters with fewer pixels are noise.
+        smallest: clusters with fewer pixels are noise, unless they are parts of one thin object: together
+            large enough, and no farther apart than the gap.
     """
     labels = _labels(points, wanted, gap).ravel()
     inside = np.flatnonzero(labels >= 0)
     order = inside[np.argsort(labels[inside], kind="stable")]
     _, starts = np.unique(labels[order], return_index=True)
-    found = [part for part in np.split(order, starts[1:]) if len(part) >= smallest]
+    parts = np.split(order, starts[1:])
+    found = [part for part in parts if len(part) >= smallest]
+    found += _thin(points, [part for part in parts if _SPECK <= len(part) < smallest], gap, smallest)
     return sorted(found, key=lambda part: -len(part))
+
+
+def _thin(points: F64, parts: list[NDArray[np.int64]], gap: float, smallest: int) -> list[NDArray[np.int64]]:
+    """Return the clusters of an organized cloud that consist of small parts: a wall one pixel wide that is
+    seen from above falls apart, because its pixels show its top or its foot.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    if sum(map(len, parts)) < smallest:
+        return []
+    pixels = np.concatenate(parts)
+    owner = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    near = owner[KDTree(points.reshape(-1, 3)[pixels]).query_pairs(gap, output_type="ndarray")]
+    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(parts), len(parts)))
+    count, label = connected_components(links, directed=False)
+    joined = [pixels[label[owner] == n] for n in range(count)]
+    return [part for part in joined if len(part) >= smallest]
 
 
 @njit(cache=True)

@@ -1,7 +1,8 @@
 """Comparison of a mesh's rendered depth with everything that cameras see around a cluster of points.
 
 Each pixel is evidence: where the mesh hides what the camera saw behind it (free space), where it leaves
-points of the cluster unexplained (silhouette), and where both depths differ (visible surface).
+points of the cluster unexplained (silhouette), and where both depths differ (visible surface). The support is
+evidence, too: no mesh reaches below it.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ FREE, OWN, OTHER = 0, 1, 2
 _BAND = 4.0  # [scales] pixels so near to the support show low parts of the object
 _FAR = 3.0  # [scales] larger differences of depth count as equally wrong
 _NEAREST = 0.02  # [m] triangles that are nearer to the camera are not drawn
+SUNK = 50
+"""Number of pixels whose loss equals that of a mesh far below its support, which thousands of pixels show."""
 
 
 class DepthEvidence(NamedTuple):
@@ -86,13 +89,14 @@ def joined(views: list[DepthEvidence]) -> DepthEvidence:
 
 
 @njit(cache=True)
-def draw(vertices, faces, R, t, e, out):
+def draw(vertices, faces, closed, R, t, e, out):
     """Render the depth (n,) [m] of a mesh at the pose (R, t) for each pixel of the images; inf where the mesh
     is not seen.
 
-    A pixel shows the surface at its center. 1 / z is linear in the image, also within a triangle.
+    A pixel shows the surface at its center. 1 / z is linear in the image, also within a triangle. Of a closed
+    mesh, the triangles that face away are hidden.
     """
-    out[:] = np.inf
+    out[:] = 0.0  # 1 / z until all triangles are drawn
     n = len(vertices)
     us, vs, ws = np.empty(n), np.empty(n), np.empty(n)
     M, p = np.empty((3, 3)), np.empty(3)
@@ -116,6 +120,11 @@ def draw(vertices, faces, R, t, e, out):
             i, j, m = faces[f, 0], faces[f, 1], faces[f, 2]
             if ws[i] == 0.0 or ws[j] == 0.0 or ws[m] == 0.0:
                 continue
+            au, av = us[j] - us[i], vs[j] - vs[i]
+            bu, bv = us[m] - us[i], vs[m] - vs[i]
+            area = au * bv - av * bu
+            if abs(area) < 1e-12 or (closed and area > 0.0):
+                continue
             v0 = max(int(np.ceil(min(vs[i], vs[j], vs[m]))), 0)
             v1 = min(int(np.floor(max(vs[i], vs[j], vs[m]))), h - 1)
             if v0 > v1:
@@ -124,35 +133,35 @@ def draw(vertices, faces, R, t, e, out):
             u1 = min(int(np.floor(max(us[i], us[j], us[m]))), w - 1)
             if u0 > u1:
                 continue
-            au, av = us[j] - us[i], vs[j] - vs[i]
-            bu, bv = us[m] - us[i], vs[m] - vs[i]
-            area = au * bv - av * bu
-            if abs(area) < 1e-12:
-                continue
             sign = 1.0 / area
+            dq1, dq2 = bv * sign, -av * sign
             dw1, dw2 = ws[j] - ws[i], ws[m] - ws[i]
+            x = u0 - us[i]
             for v in range(v0, v1 + 1):
                 y = v - vs[i]
-                for u in range(u0, u1 + 1):
-                    x = u - us[i]
-                    q1 = (x * bv - y * bu) * sign
-                    q2 = (au * y - av * x) * sign
-                    if q1 < 0.0 or q2 < 0.0 or q1 + q2 > 1.0:
-                        continue
-                    z = 1.0 / (ws[i] + q1 * dw1 + q2 * dw2)
-                    at = first + v * w + u
-                    if z < out[at]:
-                        out[at] = z
+                q1 = (x * bv - y * bu) * sign
+                q2 = (au * y - av * x) * sign
+                at = first + v * w + u0
+                for _ in range(u0, u1 + 1):
+                    if q1 >= 0.0 and q2 >= 0.0 and q1 + q2 <= 1.0:
+                        near = ws[i] + q1 * dw1 + q2 * dw2
+                        if near > out[at]:
+                            out[at] = near
+                    q1 += dq1
+                    q2 += dq2
+                    at += 1
+    for i in range(len(out)):
+        out[i] = 1.0 / out[i] if out[i] > 0.0 else np.inf
 
 
 @njit(cache=True)
 def compare(drawn, e, out):
-    """Compare the rendered depth with the measured depth: write the signed error (n,) of each pixel, from -1
-    to 1. Its square is the pixel's loss.
+    """Compare the rendered depth with the measured depth: write the signed error of each pixel, from -1 to 1,
+    to out[:n]. Its square is the pixel's loss.
 
     The loss of a difference r [scales] is that of Geman and McClure, r^2 / (1 + r^2).
     """
-    for i in range(len(out)):
+    for i in range(len(e.depth)):
         z, seen, floor = drawn[i], e.depth[i], e.floor[i]
         out[i] = 0.0
         if seen == 0.0:
@@ -170,12 +179,17 @@ def compare(drawn, e, out):
 
 
 @njit(cache=True)
-def loss(vertices, faces, R, t, e, drawn, errors):
+def loss(vertices, faces, closed, R, t, e, drawn, errors):
     """Render the depth of a mesh at the pose (R, t) and return its total loss. Also write the rendered depth
-    (n,) [m] and the signed error (n,) of each pixel.
+    (n,) [m] and the signed errors (n + SUNK,): of each pixel, and how deep the mesh is below its support.
     """
-    draw(vertices, faces, R, t, e, drawn)
+    draw(vertices, faces, closed, R, t, e, drawn)
     compare(drawn, e, errors)
+    low = 0.0
+    for i in range(len(vertices)):
+        low = min(low, R[2, 0] * vertices[i, 0] + R[2, 1] * vertices[i, 1] + R[2, 2] * vertices[i, 2] + t[2])
+    sunk = max(low / e.scale, -_FAR)
+    errors[len(e.depth) :] = sunk / np.sqrt(1 + sunk * sunk)
     total = 0.0
     for x in errors:
         total += x * x
@@ -183,14 +197,14 @@ def loss(vertices, faces, R, t, e, drawn, errors):
 
 
 @njit(cache=True)
-def losses(vertices, faces, Rs, ts, e):
+def losses(vertices, faces, closed, Rs, ts, e):
     """Return the total losses (k,) between the depth evidence and the rendered depth of a mesh at poses Rs
     (k, 3, 3), ts (k, 3).
     """
-    drawn, errors = np.empty(len(e.depth)), np.empty(len(e.depth))
+    drawn, errors = np.empty(len(e.depth)), np.empty(len(e.depth) + SUNK)
     out = np.empty(len(Rs))
     for k in range(len(Rs)):
-        out[k] = loss(vertices, faces, Rs[k], ts[k], e, drawn, errors)
+        out[k] = loss(vertices, faces, closed, Rs[k], ts[k], e, drawn, errors)
     return out
 
 
@@ -211,7 +225,7 @@ def _moved(R, t, center, step, out_R, out_t):
 
 
 @njit(cache=True)
-def refine(vertices, faces, center, radius, R, t, e, pixel, iterations):
+def refine(vertices, faces, closed, center, radius, R, t, e, pixel, iterations):
     """Refine the pose (R, t) of a mesh with the Levenberg-Marquardt method, such that its rendered depth has
     the minimum loss.
 
@@ -222,12 +236,12 @@ def refine(vertices, faces, center, radius, R, t, e, pixel, iterations):
     Returns:
         The pose (R, t) and its loss.
     """
-    n = len(e.depth)
-    drawn, errors, ahead, behind = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    n = len(e.depth) + SUNK
+    drawn, errors, ahead, behind = np.empty(len(e.depth)), np.empty(n), np.empty(n), np.empty(n)
     J = np.empty((6, n))
     R, t = R.copy(), t.copy()
     R2, t2 = np.empty((3, 3)), np.empty(3)
-    best = loss(vertices, faces, R, t, e, drawn, errors)
+    best = loss(vertices, faces, closed, R, t, e, drawn, errors)
     damping, width = 1e-2, 1.0
     for _ in range(iterations):
         for k in range(6):
@@ -235,10 +249,10 @@ def refine(vertices, faces, center, radius, R, t, e, pixel, iterations):
             step = np.zeros(6)
             step[k] = h
             _moved(R, t, center, step, R2, t2)
-            loss(vertices, faces, R2, t2, e, drawn, ahead)
+            loss(vertices, faces, closed, R2, t2, e, drawn, ahead)
             step[k] = -h
             _moved(R, t, center, step, R2, t2)
-            loss(vertices, faces, R2, t2, e, drawn, behind)
+            loss(vertices, faces, closed, R2, t2, e, drawn, behind)
             for i in range(n):
                 J[k, i] = (ahead[i] - behind[i]) / (2 * h)
         A, g = J @ J.T, J @ errors
@@ -252,7 +266,7 @@ def refine(vertices, faces, center, radius, R, t, e, pixel, iterations):
             if far > 0.3:
                 step *= 0.3 / far
             _moved(R, t, center, step, R2, t2)
-            new = loss(vertices, faces, R2, t2, e, drawn, ahead)
+            new = loss(vertices, faces, closed, R2, t2, e, drawn, ahead)
             if new < best:
                 better = best - new > 2e-3 * best
                 R[:], t[:], best = R2, t2, new

@@ -26,6 +26,8 @@ from armcell.scene.resting import hull_rests, plane_axes
 
 F64 = NDArray[np.float64]
 Faces = NDArray[np.int32]
+Triangles = tuple[F64, Faces, bool]
+"""Vertices (n, 3) and faces (m, 3) of a mesh, and whether its surface is closed, with outward normals."""
 
 COARSE_PIXELS, FINE_PIXELS = 2500, 8000
 """Maximum numbers of pixels of each camera for the search and for the final comparison."""
@@ -42,10 +44,10 @@ _START_APART = 0.3  # [rad] angle between candidates of one kind
 _FEW, _SOME = (60, 0), (80, 20)  # points and rays that rank the starts, and that move them
 _HOPEFUL = 1.6  # maximum loss of candidates, relative to the best, that are refined on the fine evidence
 _PROMISING = 1.4  # the same ratio after a few iterations
-_SAMPLES, _SURFACE = 500, 40_000  # points with which two poses are compared, and points of the surface
+_SAMPLES, _SURFACE = 1000, 40_000  # points with which two poses are compared, and points of the surface
 _SAME = 0.025  # distance between the surfaces in two equal poses, relative to the object's diameter
 _MOST_SAME = 0.0025  # [m] largest such distance
-_DIFFERENT = 0.015  # fraction of the surface that may be farther apart in equal poses, such as a can's tab
+_DIFFERENT = 0.02  # fraction of the surface that may be farther apart in equal poses, such as a can's tab
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +57,8 @@ class KnownMesh:
     """
 
     solid: Solid
-    coarse: tuple[F64, Faces]
-    fine: tuple[F64, Faces]
+    coarse: Triangles
+    fine: Triangles
     corners: F64  # (n, 3) outermost points
     ups: F64  # (k, 3) upward directions on the resting sides
     center: F64  # (3,) of the bounding box
@@ -66,6 +68,16 @@ class KnownMesh:
     diameter: float
     samples: F64
     tree: Any  # scipy.spatial.KDTree of the surface
+
+    @cached_property
+    def rests(self) -> tuple[F64, F64]:
+        """Return the rotations (k, 3, 3) of the mesh on each resting side at each yaw angle, and its turned
+        outermost points (k, n, 3).
+        """
+        yaws = [SO3.exp([0, 0, yaw]).matrix for yaw in np.arange(_YAWS) * 2 * np.pi / _YAWS]
+        sides = [np.stack([*plane_axes(up), up]) for up in self.ups]
+        Rs = np.array([yaw @ side for side in sides for yaw in yaws])
+        return Rs, self.corners @ Rs.transpose(0, 2, 1)
 
     @cached_property
     def symmetries(self) -> tuple[SE3, ...]:
@@ -97,10 +109,13 @@ class KnownMesh:
     def same(self, a: SE3, b: SE3) -> bool:
         """Return whether the mesh looks the same in two poses: hardly any of its surface is far apart."""
         limit = min(_SAME * self.diameter, _MOST_SAME)
-        there = (a.inverse() @ b).apply(self.samples)
+        away = a.inverse() @ b
+        if np.linalg.norm(away.apply(self.middle) - self.middle) > limit + _DIFFERENT * self.diameter:
+            return False
+        there = away.apply(self.samples)
         return all(  # most pairs of poses already differ at the first few samples
             np.mean(np.isinf(self.tree.query(some, distance_upper_bound=limit)[0])) <= share
-            for some, share in ((there[:30], 0.2), (there, _DIFFERENT))
+            for some, share in ((there[:30], 0.2), (there[:200], 0.06), (there, _DIFFERENT))
         )
 
 
@@ -121,12 +136,13 @@ def known_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> KnownMesh:
     corners = hull[np.unique(np.argmax(hull @ directions.T, axis=0))]
     tri = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     points = np.asarray(trimesh.sample.sample_surface(tri, _SURFACE, seed=0)[0])
+    closed = _is_closed(trimesh.Trimesh(mesh.vertices, mesh.faces))  # with equal corners of triangles merged
     center = (points.min(axis=0) + points.max(axis=0)) / 2
     middle = points.mean(axis=0)
     return KnownMesh(
         solid=solid_of(shapes),
-        coarse=_few(mesh.vertices, mesh.faces, _COARSE_FACES),
-        fine=_few(mesh.vertices, mesh.faces, _FINE_FACES),
+        coarse=_few(mesh.vertices, mesh.faces, _COARSE_FACES, closed),
+        fine=_few(mesh.vertices, mesh.faces, _FINE_FACES, closed),
         corners=corners,
         ups=ups[:_MOST_SIDES],
         center=center,
@@ -139,9 +155,20 @@ def known_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> KnownMesh:
     )
 
 
-def _few(vertices: F64, faces: Faces, most: int) -> tuple[F64, Faces]:
+def _is_closed(mesh: Any) -> bool:
+    """Return whether each body of a mesh (trimesh.Trimesh) is closed, with outward normals."""
+    from trimesh.graph import connected_component_labels
+
+    if not (mesh.is_watertight and mesh.is_winding_consistent):
+        return False
+    body = connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
+    a, b, c = mesh.triangles.transpose(1, 0, 2)
+    return bool((np.bincount(body, np.einsum("ij,ij->i", a, np.cross(b, c))) > 0).all())
+
+
+def _few(vertices: F64, faces: Faces, most: int, closed: bool) -> Triangles:
     v, f = decimated(vertices, faces, most)
-    return np.ascontiguousarray(v), np.ascontiguousarray(f, dtype=np.int32)
+    return np.ascontiguousarray(v), np.ascontiguousarray(f, dtype=np.int32), closed
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +194,7 @@ def search(e: DepthEvidence, points: CameraEvidence, mesh: KnownMesh) -> list[Ca
     chosen += [fit_solid(some, mesh.solid, FREE, np.zeros(6), starts[i], 6).T for i in _leading(near, Rs)]
     pixel = _pixel(e)
     first = [_refined(e, mesh, mesh.coarse, T, pixel, 4) for T in chosen]
-    first.sort(key=lambda c: c.loss)
+    first = _distinct(sorted(first, key=lambda c: c.loss), mesh)
     refined = [_refined(e, mesh, mesh.coarse, c.T, pixel, 4).T for c in first[:_SEARCHED]]
     exact = D.losses(
         *mesh.fine, np.array([T.rotation.matrix for T in refined]),
@@ -198,22 +225,27 @@ def settle(e: DepthEvidence, mesh: KnownMesh, found: list[Candidate]) -> list[Ca
     the blade of a knife hardly stands out from the table, the knife may lie farther along its length.
     """
     hopeful = [c for c in found if c.loss <= _HOPEFUL * found[0].loss + 3.0]
-    settled = _settled(e, mesh, hopeful[:_REFINED])
+    settled = _settled(e, mesh, hopeful[:_REFINED], [])
     best = settled[0].T
     about = [SO3.exp(sign * _NUDGE * axis) for axis in mesh.axes.T for sign in (1, -1)]
     moves = [SE3(turn, mesh.middle - turn.matrix @ mesh.middle) for turn in about]
     moves += [SE3.from_xyz(*(sign * _SLIDE * mesh.diameter * mesh.axes[:, 2])) for sign in (1, -1)]
     beside = (best @ move for move in moves)
     nudged = [Candidate(T, settled[0].loss) for T in beside if not mesh.same(best, T)]
-    return _distinct(sorted(settled + _settled(e, mesh, nudged), key=lambda c: c.loss), mesh)
+    return _settled(e, mesh, nudged, settled)
 
 
-def _settled(e: DepthEvidence, mesh: KnownMesh, found: list[Candidate]) -> list[Candidate]:
-    for iterations, share in ((3, _PROMISING), (6, np.inf)):  # most candidates are soon hopeless
-        found = [_refined(e, mesh, mesh.fine, c.T, _pixel(e), iterations) for c in found]
-        least = min((c.loss for c in found), default=0.0)
-        found = [c for c in found if c.loss <= share * least]
-    return _distinct(sorted(found, key=lambda c: c.loss), mesh)
+def _settled(
+    e: DepthEvidence, mesh: KnownMesh, found: list[Candidate], known: list[Candidate]
+) -> list[Candidate]:
+    """Refine candidate poses of a mesh, and return them with the known ones, best first. Most candidates are
+    soon hopeless, or on their way to the same pose as another one.
+    """
+    tried = [_refined(e, mesh, mesh.fine, c.T, _pixel(e), 3) for c in found]
+    every = _distinct(sorted(known + tried, key=lambda c: c.loss), mesh)
+    hopeful = [c for c in every if c in tried and c.loss <= _PROMISING * every[0].loss]
+    refined = [_refined(e, mesh, mesh.fine, c.T, _pixel(e), 6) for c in hopeful]
+    return _distinct(sorted(known + refined, key=lambda c: c.loss), mesh)
 
 
 def refit(e: DepthEvidence, mesh: KnownMesh, T: SE3) -> SE3:
@@ -222,16 +254,17 @@ def refit(e: DepthEvidence, mesh: KnownMesh, T: SE3) -> SE3:
 
 
 def pixel_errors(e: DepthEvidence, mesh: KnownMesh, T: SE3) -> tuple[F64, NDArray[np.bool_]]:
-    """Return the signed error (n,) of each pixel for a pose of a mesh, and a mask (n,) of the pixels that
-    show the cluster or the mesh.
+    """Return the signed errors (n + SUNK,) of a pose of a mesh, as `depth_render.loss` writes them, and a
+    mask (n + SUNK,) of the pixels that show the cluster or the mesh.
     """
-    drawn, errors = np.empty(len(e.depth)), np.empty(len(e.depth))
+    drawn, errors = np.empty(len(e.depth)), np.empty(len(e.depth) + D.SUNK)
     D.loss(*mesh.fine, T.rotation.matrix, T.translation, e, drawn, errors)
-    return errors, ((drawn < e.floor) | (e.kinds == D.OWN)) & (e.depth > 0)
+    near = ((drawn < e.floor) | (e.kinds == D.OWN)) & (e.depth > 0)
+    return errors, np.append(near, np.zeros(D.SUNK, bool))
 
 
 def _refined(
-    e: DepthEvidence, mesh: KnownMesh, triangles: tuple[F64, Faces], T: SE3, pixel: float, iterations: int
+    e: DepthEvidence, mesh: KnownMesh, triangles: Triangles, T: SE3, pixel: float, iterations: int
 ) -> Candidate:
     R, t, loss = D.refine(
         *triangles, mesh.center, mesh.radius, T.rotation.matrix, T.translation, e, pixel, iterations
@@ -260,14 +293,7 @@ def _starts(e: DepthEvidence, mesh: KnownMesh) -> tuple[F64, F64]:
     """Return start poses Rs (k, 3, 3), ts (k, 3) for the fit of a mesh: each resting side at each yaw. In the
     first image, the center of the mesh's outline coincides with the center of the point cluster.
     """
-    Rs = []
-    for up in mesh.ups:
-        x, y = plane_axes(up)
-        rests = np.stack([x, y, up])
-        for yaw in np.arange(_YAWS) * 2 * np.pi / _YAWS:
-            Rs.append(SO3.exp([0, 0, yaw]).matrix @ rests)
-    R = np.array(Rs)
-    turned = mesh.corners @ R.transpose(0, 2, 1)  # (k, n, 3)
+    R, turned = mesh.rests
     ts = np.zeros((len(R), 3))
     ts[:, 2] = -turned[:, :, 2].min(axis=1)
     ts[:, :2] = -(turned[:, :, :2].min(axis=1) + turned[:, :, :2].max(axis=1)) / 2

@@ -52,6 +52,8 @@ _MARGIN = 8  # [px] width of the surroundings of a cluster that are compared wit
 _JOINED = 0.5  # cost factor for ranking a match of two clusters, because it explains more points
 _MOST_JOINED = 12  # maximum number of clusters for which pairs are evaluated
 _RIVAL = 3.0  # maximum cost ratio to the best match of the same cluster or object
+_EXPLAINED = 0.15  # maximum cost of a match of a mesh; then, of its clusters, only larger unions are tried
+_CLEAR = 0.25  # maximum cost of a rough match of a mesh that is refined at once
 
 
 @dataclass(frozen=True, repr=False)
@@ -296,22 +298,35 @@ def _named(
     Among equal shapes, the one with the matching color wins. A known object may consist of two clusters if
     its middle is hidden; a match of two clusters is preferred to a similar match of one.
     """
-    rough = {
-        (part, k): match
-        for part, thing in things.items()
-        for k, item in enumerate(known)
-        if (match := thing.rough(item)) is not None and match.cost <= _HOPELESS
-    }
+    rough: dict[tuple[frozenset[int], int], Match] = {}
+    fine: dict[tuple[frozenset[int], int], Match] = {}
+
+    def covered(part: frozenset[int], k: int) -> bool:
+        return any(
+            k == which and part & other and not other <= part and match.cost <= _EXPLAINED
+            for (other, which), match in fine.items()
+            if not is_primitive(known[k].shapes)
+        )
+
+    for part, thing in sorted(things.items(), key=lambda each: -len(each[1].points)):
+        for k, item in enumerate(known):
+            match = None if covered(part, k) else thing.rough(item)
+            if match is not None and match.cost <= _HOPELESS:
+                rough[part, k] = match
+                if match.candidates and match.cost <= _CLEAR:
+                    fine[part, k] = thing.match(item, match)
     offers = []
-    for (part, k), start in rough.items():
+    for (part, k), start in sorted(rough.items(), key=lambda each: _rank(each[0][0], each[1].cost)):
         rivals = [match.cost for (other, which), match in rough.items() if other == part or which == k]
-        if start.cost <= _RIVAL * min(rivals) + 0.02:
-            match = things[part].match(known[k], start)
-            if match.cost <= settings.most_cost:
-                rank = match.cost if len(part) == 1 else match.cost * _JOINED
-                if image_has_color:
-                    rank += _OTHER_COLOR * color_distance(things[part].color, known[k].color)
-                offers.append((rank, sorted(part), k, match))
+        if start.cost > _RIVAL * min(rivals) + 0.02 or covered(part, k):
+            continue
+        match = fine.get((part, k)) or things[part].match(known[k], start)
+        fine[part, k] = match
+        if match.cost <= settings.most_cost:
+            rank = _rank(part, match.cost)
+            if image_has_color:
+                rank += _OTHER_COLOR * color_distance(things[part].color, known[k].color)
+            offers.append((rank, sorted(part), k, match))
     taken: dict[frozenset[int], tuple[int, Match]] = {}
     used: set[int] = set()
     for _, part, k, match in sorted(offers, key=lambda offer: offer[:3]):
@@ -326,6 +341,10 @@ def _named(
         elif len(part) == 1 and not part & used:
             found.append(_unknown(thing, settings, counts))
     return tuple(sorted(found, key=lambda item: -len(item.points)))
+
+
+def _rank(part: frozenset[int], cost: float) -> float:
+    return cost if len(part) == 1 else cost * _JOINED
 
 
 def _recognized(thing: _ObjectCluster, item: CollisionObject, match: Match) -> DetectedObject:

@@ -11,6 +11,7 @@ from armcell.scene.diff import (
     MoveObject,
     RemoveAllObjects,
     RemoveObject,
+    ReplacePoints,
     SceneDiff,
     SetColor,
     SetFixedFrame,
@@ -36,7 +37,7 @@ from armcell.scene.objects import (
 )
 from armcell.scene.octomap import OccupancyMap, SensorModel
 from armcell.scene.octree_file import load_octree, octree_bytes, octree_from_bytes, save_octree
-from armcell.scene.point_clouds import depth_points, load_obstacle, load_points
+from armcell.scene.point_clouds import depth_points, load_obstacle, load_points, seen_through
 from armcell.scene.scene import WORLD, AttachedBody, PlanningScene, extent
 from armcell.scene.scene_file import load_scene_file, save_scene_file
 
@@ -62,6 +63,7 @@ __all__ = [
     "PlanningScene",
     "RemoveAllObjects",
     "RemoveObject",
+    "ReplacePoints",
     "SceneDiff",
     "ScrewThread",
     "SensorModel",
@@ -89,6 +91,7 @@ __all__ = [
     "save_octree",
     "save_scene_file",
     "scene_changes",
+    "seen_through",
     "shape_volume",
     "solid_inertia",
     "with_octomap",

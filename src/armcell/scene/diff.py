@@ -8,21 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
-from armcell.core import SE3, InputError, JointState, Octree, Shape, UnknownNameError
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armcell.core import SE3, InputError, JointState, Octree, PointCloud, Shape, UnknownNameError
 from armcell.core.checks import checked
 from armcell.scene.objects import CollisionObject, Color, ObjectType
-from armcell.scene.scene import WORLD, PlanningScene
+from armcell.scene.scene import WORLD, Change, PlanningScene
 
 OCTOMAP = "<octomap>"
 """Name of the octomap object, as in MoveIt, for example to allow contact with the octomap."""
-
-
-class Change(Protocol):
-    """One change in a scene diff. `applied_to` returns the changed planning scene."""
-
-    def applied_to(self, scene: PlanningScene) -> PlanningScene: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +121,35 @@ class AppendShapes:
         item = _in_world(scene, self.name)
         subframes = {**item.subframes, **self.subframes}
         return scene.with_object(replace(item, shapes=(*item.shapes, *self.shapes), subframes=subframes))
+
+
+@dataclass(frozen=True, eq=False)
+class ReplacePoints:
+    """A change in a scene diff that replaces the points of a point cloud within a box low <= p < high.
+
+    The box has the corners `low` and `high` (3,) [m] in `frame`; an infinite box clears the whole cloud. The
+    new `points` (n, 3) [m] are also in `frame`; they may be outside the box.
+    """
+
+    name: str
+    points: ArrayLike
+    low: ArrayLike
+    high: ArrayLike
+    frame: str = WORLD
+
+    def applied_to(self, scene: PlanningScene) -> PlanningScene:
+        item = _in_world(scene, self.name)
+        clouds = [i for i, (shape, _) in enumerate(item.shapes) if isinstance(shape, PointCloud)]
+        if len(clouds) != 1:
+            raise InputError(f"object {self.name!r} has {len(clouds)} point clouds, it must have one")
+        cloud, T_object_shape = item.shapes[clouds[0]]
+        assert isinstance(cloud, PointCloud)
+        T = scene.frame_pose(self.frame).inverse() @ item.T_world_object @ T_object_shape
+        points = np.zeros((0, 3)) if np.size(self.points) == 0 else self.points
+        cloud = cloud.updated(T.inverse().apply(points), cloud.inside(self.low, self.high, T))
+        shapes = [*item.shapes]
+        shapes[clouds[0]] = cloud, T_object_shape
+        return scene.with_object(replace(item, shapes=tuple(shapes)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -291,16 +291,60 @@ def depth_points(
     Raises:
         InputError: `depth` is not a 2D array of numbers, or `intrinsics` is not a valid camera matrix.
     """
-    float_array(depth, None, "a depth image", finite=False)
-    image, K = np.asarray(depth), float_array(intrinsics, (3, 3), "intrinsics")
-    if image.ndim != 2 or image.dtype.kind not in "fiu":
-        raise InputError(f"a depth image has rows and columns of numbers, not shape {image.shape}")
-    if K.shape != (3, 3) or not np.all(np.isfinite(K)) or K[0, 0] <= 0 or K[1, 1] <= 0:
-        raise InputError("intrinsics need a (3, 3) matrix with positive focal lengths")
-    z = image.astype(float) * (1.0 if image.dtype.kind == "f" else 1e-3)
-    with np.errstate(invalid="ignore"):
-        seen = np.isfinite(z) & (z > 0) & (z >= nearest) & (z <= farthest)
+    z, K = _meters(depth), _camera_matrix(intrinsics)
+    seen = (z > 0) & (z >= nearest) & (z <= farthest)
     v, u = np.nonzero(seen)
     z = z[seen]
     x, y = (u - K[0, 2]) * z / K[0, 0], (v - K[1, 2]) * z / K[1, 1]
     return T_world_camera.apply(np.column_stack([x, y, z]))
+
+
+def seen_through(
+    points: ArrayLike,
+    depth: ArrayLike,
+    intrinsics: ArrayLike,
+    T_world_camera: SE3 = SE3.identity(),
+    margin: float = 0.02,
+) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the points where a depth image proves free space: the camera saw surfaces behind
+    them. An obstacle that contains such points has moved, so `PointCloud.updated` can clear them.
+
+    The four pixels around a point must all be deeper than the point. A pixel without depth proves nothing.
+
+    Args:
+        points: (n, 3) [m, world frame].
+        depth, intrinsics, T_world_camera: as of `depth_points`.
+        margin: depth [m] by which the surfaces must be behind the point; covers the errors of the camera and
+            the radius of the points.
+    Raises:
+        InputError: as of `depth_points`, or the points do not have the shape (n, 3).
+    """
+    z, K = _meters(depth), _camera_matrix(intrinsics)
+    rows = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
+    at = np.ascontiguousarray(T_world_camera.inverse().apply(rows).T)
+    front = np.flatnonzero(at[2] > 0)
+    at = at[:, front]
+    u, v = at[0] / at[2] * K[0, 0] + K[0, 2], at[1] / at[2] * K[1, 1] + K[1, 2]
+    inside = (u >= 0) & (u <= z.shape[1] - 1) & (v >= 0) & (v <= z.shape[0] - 1)
+    u, v, front, far = u[inside], v[inside], front[inside], at[2, inside] + margin
+    across, down = ([np.floor(a).astype(int), np.ceil(a).astype(int)] for a in (u, v))
+    free = np.zeros(len(rows), bool)
+    free[front] = np.logical_and.reduce([z[i, j] > far for i in down for j in across])
+    return free
+
+
+def _meters(depth: ArrayLike) -> F64:
+    """Return the depths [m] of a depth image (rows, columns); 0 where there is none."""
+    float_array(depth, None, "a depth image", finite=False)
+    image = np.asarray(depth)
+    if image.ndim != 2 or image.dtype.kind not in "fiu":
+        raise InputError(f"a depth image has rows and columns of numbers, not shape {image.shape}")
+    z = image.astype(float) * (1.0 if image.dtype.kind == "f" else 1e-3)
+    return np.where(np.isfinite(z), z, 0.0)
+
+
+def _camera_matrix(intrinsics: ArrayLike) -> F64:
+    K = float_array(intrinsics, (3, 3), "intrinsics")
+    if K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise InputError("intrinsics need a (3, 3) matrix with positive focal lengths")
+    return K

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,9 +18,6 @@ from armcell.core.checks import checked, float_array
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.scene.objects import CLOUDS_STAND, USE_A_SOLID, CollisionObject
-
-if TYPE_CHECKING:
-    from armcell.scene.diff import SceneDiff
 
 Array = NDArray[np.float64]
 WORLD = "world"
@@ -53,6 +50,12 @@ def without_allowed_entries(scene: PlanningScene, name: str) -> PlanningScene:
         allowed_pairs={pair: allow for pair, allow in scene.allowed_pairs.items() if name not in pair},
         allowed_defaults={k: allow for k, allow in scene.allowed_defaults.items() if k != name},
     )
+
+
+class Change(Protocol):
+    """One change in a scene diff. `applied_to` returns the changed planning scene."""
+
+    def applied_to(self, scene: PlanningScene) -> PlanningScene: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -391,7 +394,7 @@ class PlanningScene:
         return self.frame_pose(target).inverse() @ self.frame_pose(source)
 
     # --- many changes at once ---
-    def apply(self, diff: SceneDiff) -> PlanningScene:
+    def apply(self, diff: Change) -> PlanningScene:
         """Return the planning scene with all changes of a scene diff applied.
 
         Raises:

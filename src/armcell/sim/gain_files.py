@@ -313,7 +313,7 @@ def gain_values(gains: str | Path, model: RobotModel, folder: Path = Path()) -> 
             raise UnknownNameError("gain", key, KEYS, file=file)
     try:
         read = settings_from(PhysicsSettings, data, "gains")
-        check_joint_gains(read, model, file=file, element="joint_gains")
+        check_joint_gains(read.joint_gains, model, file=file, element="joint_gains")
     except InputError as error:
         if error.file is not None:
             raise

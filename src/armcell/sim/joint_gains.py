@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from armcell.core import InputError, UnknownNameError
 from armcell.core.checks import checked, settings_from
-from armcell.model import Joint, RobotModel
-
-if TYPE_CHECKING:
-    from armcell.sim.settings import PhysicsSettings
-
-INTEGRAL_SHARE = 0.2  # largest integral effort as a fraction of the effort limit; prevents windup
+from armcell.model import RobotModel
 
 
 @dataclass(frozen=True)
@@ -118,38 +113,6 @@ def gains_of(entry: Any, what: str) -> JointGains:
         raise InputError(text, hint=error.hint) from None
 
 
-class EffectiveGains(NamedTuple):
-    """Effective PID gains of one joint after scaling, with the limits on the effort of the integral term."""
-
-    kp: float
-    ki: float
-    kv: float
-    low: float  # [Nm or N], negative
-    high: float  # [Nm or N]
-    winds_up: bool
-    feedforward: float
-
-
-def effective_gains(joint: Joint, settings: PhysicsSettings) -> EffectiveGains:
-    """Return the PID gains after scaling that the simulation uses for an arm joint."""
-    effort = joint.limits.effort
-    most = INTEGRAL_SHARE * effort if np.isfinite(effort) else np.inf
-    own = settings.joint_gains.get(joint.name)
-    if own is not None:
-        clamp = most if own.i_clamp < 0 else own.i_clamp
-        low = clamp if own.i_clamp_min < 0 else own.i_clamp_min
-        high = clamp if own.i_clamp_max < 0 else own.i_clamp_max
-        return EffectiveGains(own.p, own.i, own.d, -low, high, not own.antiwindup, own.ff_velocity_scale)
-    if joint.servo is not None:
-        return EffectiveGains(joint.servo.kp, 0.0, joint.servo.kv, -most, most, False, 0.0)
-    # A weak joint with a strong joint's gains would saturate at every small error and chatter.
-    weak = min(1.0, effort / settings.full_gain_effort)
-    slides = joint.type == "prismatic"
-    kp = settings.slide_kp if slides else settings.arm_kp
-    kv = settings.slide_kv if slides else settings.arm_kv
-    return EffectiveGains(weak * kp, weak * settings.arm_ki, weak * kv, -most, most, False, 0.0)
-
-
 def arm_joints(model: RobotModel) -> list[str]:
     """Return the names of the joints that have arm gains, in model order: all actuated joints of the robot
     except the gripper joints.
@@ -158,7 +121,7 @@ def arm_joints(model: RobotModel) -> list[str]:
     return [name for name in model.joint_names if name not in fingers]
 
 
-def check_joint_gains(settings: PhysicsSettings, model: RobotModel, **where: Any) -> None:
+def check_joint_gains(gains: GainTable, model: RobotModel, **where: Any) -> None:
     """Raise an error if the setting `joint_gains` names a joint that does not belong to an arm.
 
     Raises:
@@ -166,6 +129,6 @@ def check_joint_gains(settings: PhysicsSettings, model: RobotModel, **where: Any
             the most similar name.
     """
     known = arm_joints(model)
-    for joint in settings.joint_gains:
+    for joint in gains:
         if joint not in known:
             raise UnknownNameError("arm joint", joint, known, **where)

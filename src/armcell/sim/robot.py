@@ -16,7 +16,7 @@ from armcell.model.composition import finger_parts
 from armcell.model.mjcf.spec import physics_spec
 from armcell.model.robot import SERVO_ERROR, MjcfPart
 from armcell.scene import WORLD, PlanningScene
-from armcell.sim.joint_gains import arm_joints, check_joint_gains, effective_gains
+from armcell.sim.joint_gains import arm_joints, check_joint_gains
 from armcell.sim.objects import (
     COLLISION_GROUP,
     OBJECT_GROUP,
@@ -24,7 +24,7 @@ from armcell.sim.objects import (
     GeomAdder,
     full_inertia,
 )
-from armcell.sim.settings import PhysicsSettings
+from armcell.sim.settings import PhysicsSettings, effective_gains
 
 EXCLUDED = 1e-3  # [rad or m] by which a mimic joint's limits may miss the range of its coupling
 FINGER_INERTIA = 2.0  # [kg] largest armature of a hand's joint, as mass at the pads (Menagerie's 2F-85: 1.5)
@@ -263,7 +263,7 @@ def add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
 
 
 def add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: PhysicsSettings) -> None:
-    check_joint_gains(settings, model)
+    check_joint_gains(settings.joint_gains, model)
     for name in arm_joints(model):
         joint = model.joints[name]
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)

@@ -11,9 +11,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from armcell.core import InputError
-from armcell.sim.joint_gains import effective_gains
 from armcell.sim.mujoco_model import BuiltModel
-from armcell.sim.settings import PhysicsSettings
+from armcell.sim.settings import PhysicsSettings, effective_gains
 
 F64 = NDArray[np.float64]
 

@@ -7,17 +7,20 @@ grasped object). With MuJoCo's own defaults, a 0.1 kg cube slides 4.4 mm out of 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
 from armcell.core import InputError, UnknownNameError
 from armcell.core.checks import checked, float_array
+from armcell.model import Joint
 from armcell.sim.joint_gains import GainTable
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast", "discrete")
 CONES = ("pyramidal", "elliptic")
 GRIP_MODES = ("friction", "weld", "hybrid")
 ARM_CONTROLS = ("pid", "position", "torque")
+INTEGRAL_SHARE = 0.2  # largest integral effort as a fraction of the effort limit; prevents windup
 
 
 @dataclass(frozen=True)
@@ -132,3 +135,35 @@ class PhysicsSettings:
                     f"{self.arm_control!r} does not have",
                     hint="set arm_control: torque",
                 )
+
+
+class EffectiveGains(NamedTuple):
+    """Effective PID gains of one joint after scaling, with the limits on the effort of the integral term."""
+
+    kp: float
+    ki: float
+    kv: float
+    low: float  # [Nm or N], negative
+    high: float  # [Nm or N]
+    winds_up: bool
+    feedforward: float
+
+
+def effective_gains(joint: Joint, settings: PhysicsSettings) -> EffectiveGains:
+    """Return the PID gains after scaling that the simulation uses for an arm joint."""
+    effort = joint.limits.effort
+    most = INTEGRAL_SHARE * effort if np.isfinite(effort) else np.inf
+    own = settings.joint_gains.get(joint.name)
+    if own is not None:
+        clamp = most if own.i_clamp < 0 else own.i_clamp
+        low = clamp if own.i_clamp_min < 0 else own.i_clamp_min
+        high = clamp if own.i_clamp_max < 0 else own.i_clamp_max
+        return EffectiveGains(own.p, own.i, own.d, -low, high, not own.antiwindup, own.ff_velocity_scale)
+    if joint.servo is not None:
+        return EffectiveGains(joint.servo.kp, 0.0, joint.servo.kv, -most, most, False, 0.0)
+    # A weak joint with a strong joint's gains would saturate at every small error and chatter.
+    weak = min(1.0, effort / settings.full_gain_effort)
+    slides = joint.type == "prismatic"
+    kp = settings.slide_kp if slides else settings.arm_kp
+    kv = settings.slide_kv if slides else settings.arm_kv
+    return EffectiveGains(weak * kp, weak * settings.arm_ki, weak * kv, -most, most, False, 0.0)

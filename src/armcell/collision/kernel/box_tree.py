@@ -5,6 +5,8 @@ A block has 16 children, sorted along a Z-order curve; a walk tests 16 boxes at 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -74,18 +76,30 @@ def z_order(low: F64, high: F64) -> NDArray[np.int64]:
     """
     usual = np.logical_and.reduce([high[:, k] - low[:, k] < HUGE for k in range(3)])
     bounded = usual if usual.any() and not usual.all() else slice(None)
-    code = np.zeros(len(low), np.int64)  # Morton numbers, 10 bits an axis
+    middle = [np.clip((low[:, k] + high[:, k]) / 2, -HUGE, HUGE) for k in range(3)]
+    lowest = np.array([row[bounded].min() for row in middle])
+    code = z_codes(middle, lowest, np.array([row[bounded].max() for row in middle]) - lowest)
+    code[~usual] = 0
+    return sorted_order(code)
+
+
+def z_codes(columns: Sequence[F32 | F64] | F32, lowest: F64, span: F64) -> NDArray[np.int64]:
+    """Return the positions (n,) along a Z-order curve of points, whose coordinates are three columns (n,).
+
+    The curve fills the box with the lowest corner `lowest` (3,) and the edges `span` (3,), in 1024 cells per
+    axis. Points outside count as if they were at the nearest border.
+    """
+    code = np.zeros(len(columns[0]), np.int64)
     for k in range(3):  # one axis at a time, in place: the temporary arrays fit the processor's cache
-        cell = low[:, k] + high[:, k]
-        cell /= 2
-        np.clip(cell, -HUGE, HUGE, out=cell)
-        lowest = cell[bounded].min()
-        span = max(cell[bounded].max() - lowest, 1e-9)
-        cell -= lowest
-        cell /= span
+        cell = columns[k] - lowest[k]
+        cell /= max(span[k], 1e-9)
         cell *= 1023
         code |= SPREAD[np.clip(cell, 0, 1023, out=cell).astype(np.int64)] << k
-    code[~usual] = 0
+    return code
+
+
+def sorted_order(code: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the stable order that sorts Z-order codes (n,)."""
     # A sort of unique keys is the stable order, and several times faster than a stable argsort.
     shift = max(len(code) - 1, 1).bit_length()
     return np.sort(code << shift | np.arange(len(code))) & ((1 << shift) - 1)

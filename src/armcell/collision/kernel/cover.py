@@ -289,8 +289,12 @@ def _greedy(elements: F64, centers: F64, reach2: F64) -> tuple[NDArray[np.int64]
 def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
     """Return a set of spheres that covers a shape and extends at most `overshoot` [m] beyond it.
 
-    Covers are cached on disk by the content of the shape, so each robot's covers are fitted once per machine.
+    A sphere is its own cover. Other covers are cached on disk by the content of the shape, so each robot's
+    covers are fitted once per machine.
     """
+    if isinstance(shape, Sphere):
+        radius = np.array([shape.radius])
+        return _grouped(np.zeros((1, 3)), radius, radius)
     key = shape_key(shape, overshoot)
 
     def fitted() -> dict[str, F64]:

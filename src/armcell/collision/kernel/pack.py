@@ -258,7 +258,7 @@ def flatten(p: Pack) -> Flat:
     def table(names: tuple[str, ...], first: int, dtype: type, begin: int) -> list[np.ndarray]:
         parts, at = [], begin
         for i, name in enumerate(names):
-            flat = np.ascontiguousarray(getattr(p, name)).astype(dtype, copy=False).ravel()
+            flat = np.asarray(getattr(p, name), dtype).ravel()
             header[first + i] = at
             at += len(flat)
             parts.append(flat)

@@ -55,6 +55,7 @@ _pieces_joined: LruCache[ConvexPieces] = LruCache(32)
 _pairs_found: LruCache[I32] = LruCache(256)
 _near_found: LruCache[tuple[I32, dict[str, Any]]] = LruCache(64)
 _meetings: LruCache[_Meeting] = LruCache(4096)
+_gap_tables: LruCache[_PairGaps | None] = LruCache(4096)
 _reaches: LruCache[F64] = LruCache(1024)
 _moving: LruCache[NDArray[np.bool_]] = LruCache(32)
 
@@ -204,6 +205,10 @@ class _Builder:
         The result is cached for all poses of bodies that are not placed for good.
         """
         pairs = self._pairs(bodies)
+        # The kernel tests the groups of a pair's first body against the whole second body: that leaves few
+        # groups of the larger body, where the other order would leave nearly all groups of the smaller one.
+        radius = arrays["body_sphere"][pairs, 3]
+        pairs = np.where(radius[:, :1] < radius[:, 1:], pairs[:, ::-1], pairs)
         key = (
             self.chain,
             pairs.tobytes(),
@@ -275,7 +280,7 @@ class _Builder:
         """Return the gap table of two robot bodies, or None if more than two joints move them relative to
         each other, or if their sphere covers decide about them. The tables are cached on disk.
         """
-        branches, columns = self.chain.between(bodies[i][1], bodies[j][1])
+        _, columns = self.chain.between(bodies[i][1], bodies[j][1])
         links = [self.model.links[bodies[b][0]] for b in (i, j) if bodies[b][0] in self.model.links]
         if (
             not (self.placed_for_good[i] and self.placed_for_good[j])
@@ -283,6 +288,20 @@ class _Builder:
             or sum(map(_triangles, links)) > gap_tables.MOST_TRIANGLES
         ):
             return None
+
+        def look() -> _PairGaps | None:
+            return self._recalled_gap_table(bodies, arrays, i, j)
+
+        key = (self.chain, bodies[i], bodies[j], self.placed[i], self.placed[j])
+        return _gap_tables.get(key, look)
+
+    def _recalled_gap_table(
+        self, bodies: list[tuple[str, int]], arrays: dict[str, Any], i: int, j: int
+    ) -> _PairGaps | None:
+        """Return the gap table of two robot bodies from the disk cache, or compute it. Return None if their
+        sphere covers decide about all their configurations.
+        """
+        branches, columns = self.chain.between(bodies[i][1], bodies[j][1])
         motion = self._relative_motion(branches, columns, arrays, i, j)
         two = 2 - len(columns)  # a missing second joint has no range
         lower, upper, turns = self.chain.ranges(columns)

@@ -148,10 +148,20 @@ def _cloud_tables(clouds: Sequence[Cloud], owner: I64) -> dict[str, NDArray]:
     rows = [(c.kind, b, n, c.closed) for c, b, n in zip(clouds, blocks, numbers, strict=True)]
     return {
         "cloud": np.array(rows, np.int32).reshape(-1, 4),
-        "cloud_boxes": np.concatenate([c.boxes for c in clouds]),
-        "cloud_child": np.concatenate([c.child for c in clouds]),
-        "cloud_parts": np.concatenate([c.parts.ravel() for c in clouds]),
+        "cloud_boxes": _joined([c.boxes for c in clouds]),
+        "cloud_child": _joined([c.child for c in clouds]),
+        "cloud_parts": _joined([c.parts.ravel() for c in clouds]),
     }
+
+
+def _joined(arrays: Sequence[NDArray]) -> NDArray:
+    """Return the rows of all arrays. Where a single array has rows, they are not copied, because clouds are
+    large; but a part of a table is copied, because it would keep the whole table in memory.
+    """
+    filled = [a for a in arrays if len(a)]
+    if len(filled) == 1 and (filled[0].base is None or filled[0].base.size == filled[0].size):
+        return filled[0]
+    return np.concatenate(arrays)
 
 
 @lru_cache(maxsize=1024)
@@ -296,7 +306,7 @@ def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, 
         source = last.tables[name]
         rows = zip(begin, first, low[column].tolist(), high[column].tolist(), strict=True)
         found = [made[b].tables[name] if k < 0 else source[lo:hi] for b, k, lo, hi in rows]
-        tables[name] = np.concatenate(found) if found else source[:0]
+        tables[name] = _joined(found) if found else source[:0]
     counts = [
         made[b].counts if k < 0 else last.counts[k : k + n]
         for b, k, n in zip(begin, first, count, strict=True)

@@ -238,25 +238,26 @@ class IKSolver(ABC):
         """
         prepared, goal, at = self._question(T_world_tip, q)
         chain, s = prepared.chain, self.settings
-        if bounds is not None:
-            chain = replace(chain, bounds=bounds)
+        within = chain.bounds if bounds is None else bounds
         if wish is not None and wish.any() and null_space_step(
-            chain.table, chain.bounds, goal, chain.position_weight, wish, iterations, s.position_tolerance,
+            chain.table, within, goal, chain.position_weight, wish, iterations, s.position_tolerance,
             s.rotation_tolerance, at,
         ):  # fmt: skip
             position, angle, ok = *errors_at(chain.table, at, goal), True
         else:
-            position, angle, ok = self._descend(chain, goal, at, iterations)
+            position, angle, ok = self._descend(chain, within, goal, at, iterations)
         q[self.columns] = at
         return position, angle, ok
 
-    def _descend(self, chain: Chain, goal: Array, at: Array, iterations: int) -> tuple[float, float, bool]:
+    def _descend(
+        self, chain: Chain, bounds: Array, goal: Array, at: Array, iterations: int
+    ) -> tuple[float, float, bool]:
         """Let an IK solver improve joint positions `at` (n,) in place, as long as the pose error
         decreases.
         """
         n = len(at)
         return descend(
-            chain.table, chain.bounds, goal, chain.position_weight, iterations, iterations,
+            chain.table, bounds, goal, chain.position_weight, iterations, iterations,
             self.settings.position_tolerance, self.settings.rotation_tolerance, at,
             np.empty((len(chain.table), 6)), np.empty((n, 7)),
         )[:3]  # fmt: skip
@@ -301,7 +302,7 @@ class IKSolver(ABC):
         for k in range(CLOSEST_SEEDS):
             q = np.clip(at, chain.bounds[:, 0], chain.bounds[:, 1]) if k == 0 else seeds.positions[
                 take_nearest(scores)].copy()  # fmt: skip
-            position, angle, _ = self._descend(chain, goal, q, CLOSEST_ITERATIONS)
+            position, angle, _ = self._descend(chain, chain.bounds, goal, q, CLOSEST_ITERATIONS)
             if position + 0.1 * angle < least[0] + 0.1 * least[1]:
                 best, least = q, (position, angle)
         limits = self.at_limit(best)

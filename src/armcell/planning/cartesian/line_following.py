@@ -344,10 +344,9 @@ class LineFollower:
             if self.cancel.is_set():
                 break
             before = q.copy()
-            step = None
-            if wish is not None:
-                step = wish(last, k)
-                step *= min(1.0, FASTEST / max(float(np.max(np.abs(step))), 1e-12))
+            step = None if wish is None else wish(last, k)
+            if step is not None:
+                step *= min(1.0, FASTEST / max(float(np.abs(step).max()), 1e-12))
             meters, radians, ok = ik.descend(q, pose, wish=step, bounds=self.bounds)
             now = q[ik.columns].copy()
             if not ok:
@@ -356,7 +355,7 @@ class LineFollower:
                 short = (meters, radians)
                 return FollowedLine(path, Stop(partial(ik_stop, ik, pose, before, q, short, limits)))
             moved = np.abs(now - last)
-            worst = int(np.argmax(moved / self.most))
+            worst = int((moved / self.most).argmax())
             if moved[worst] > self.most[worst]:
                 jump = (ik.joint_names[worst], float(moved[worst]), float(self.most[worst]))
                 kind = (SLIDING, "m") if self.slides[worst] else (TURNING, "rad")

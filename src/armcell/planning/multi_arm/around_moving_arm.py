@@ -81,6 +81,8 @@ def plan_around_moving_arms(
         InputError: misuse, see `plan`; groups that share joints.
     """
     began = time.monotonic()
+    if not isinstance(others, Mapping):
+        raise InputError("others must be a dict", hint="give each other arm's running motion by its group")
     if not np.isfinite(start_time):
         raise InputError("start_time must be a finite number of seconds")
     arms = InterArmChecker(scene, (request.group, *others), request.group)

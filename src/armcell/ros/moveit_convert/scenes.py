@@ -47,7 +47,7 @@ from armcell.scene import (
     octree_bytes,
     octree_from_bytes,
 )
-from armcell.scene.diff import Change
+from armcell.scene.scene import Change
 
 logger = logging.getLogger(__name__)
 

@@ -38,7 +38,7 @@ from armcell.ros.nodes.state_publisher import RATE
 from armcell.ros.schema import Schema, schema
 from armcell.scene import CollisionObject
 from armcell.sim import PhysicsSettings
-from armcell.sim.joint_gains import effective_gains
+from armcell.sim.settings import effective_gains
 
 Array = NDArray[np.float64]
 
