@@ -35,7 +35,7 @@ try:
     for host in HOSTS.values():
         wait_for(host)
     addresses = {f"real.arms.{arm}.host": host for arm, host in HOSTS.items()}
-    ports = {f"real.arms.{arm}.port": 50723 + 10 * i for i, arm in enumerate(HOSTS)}
+    ports = {f"real.arms.{arm}.port": 30723 + 10 * i for i, arm in enumerate(HOSTS)}
     cell = with_values(load("dual_ur10_rod"), {**addresses, **ports, **LIMITS})
     warm_up()
     with cell.connect("real", seed=0) as live:

@@ -24,7 +24,7 @@ try:
         if line.startswith("an emulator"):  # all ports are open
             break
         print(line, end="")
-    cell = with_values(load(CELL), {**HOSTS, "real.arms.ur_arm.port": 50733, **LIMITS})
+    cell = with_values(load(CELL), {**HOSTS, "real.arms.ur_arm.port": 30743, **LIMITS})
     warm_up()
     with cell.connect("real", seed=0) as live:
         result = run_task(cell, live, 0, "real")
