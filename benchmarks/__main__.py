@@ -1,4 +1,4 @@
-"""Run all benchmarks in turn and write docs/benchmarks.md: what they print, machine, versions, date.
+"""Run all benchmarks in turn and write docs/benchmarks.md: their results, machine, versions, date.
 
     python -m benchmarks                        # everything, some hours
     python -m benchmarks --quick                # a few runs of each, for a look at whether they still work
@@ -15,12 +15,13 @@ import argparse
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import time
 from dataclasses import KW_ONLY, dataclass
-from html import escape
 from importlib.metadata import PackageNotFoundError, version
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,8 @@ PACKAGES = (
     "mujoco", "coal", "ompl", "numba", "numpy", "pin", "toppra", "ruckig", "roboplan", "vamp-planner", "ray",
     "opencv-python-headless",
 )  # fmt: skip
-LONG = 20  # lines that the page shows without a click; of more, those that are not indented
+COLUMNS = re.compile(r" *\| *| {2,}")  # what separates the columns of a printed table
+NO_HEADER = ("what", "measured", "bar")  # of tables that are printed without one
 REASON = 2  # exit status of a benchmark that cannot run here and says why
 
 
@@ -40,7 +42,7 @@ class Benchmark:
     """`python -m benchmarks.<name>`, with the arguments of a quick look and of a full one.
 
     Attributes:
-        page: what it writes itself.
+        page: page of the docs that contains its results.
         draws: whether it takes `--picture FILE`.
     """
 
@@ -62,22 +64,37 @@ BENCHMARKS = (
         page="benchmarks_planners.md",
     ),
     Benchmark("cartesian", "Straight lines"),
-    Benchmark("changing_scenes", "Changing scenes", ("--passes", "2")),
-    Benchmark("grasping", "Any object", ("--every", "20", "--poses", "1")),
-    Benchmark("grasp_probability", "Predicted success of grasps", ("--factors", "5", "--count", "2")),
-    Benchmark("bins", "Bins of mixed objects", ("--seeds", "1", "--counts", "12")),
-    Benchmark("mesh_poses", "Poses of known meshes", ("--set", "tune", "--poses", "1")),
-    Benchmark("solid_regions", "Solid regions of meshes", ("--poses", "200")),
-    Benchmark("holding", "Held objects", ("--seconds", "5", "--runs", "0"), full=("--runs", "10")),
+    Benchmark("changing_scenes", "Changing scenes", ("--passes", "2"), page="benchmarks_planning.md"),
+    Benchmark("grasping", "Any object", ("--every", "20", "--poses", "1"), page="grasping.md"),
+    Benchmark(
+        "grasp_probability",
+        "Predicted success of grasps",
+        ("--factors", "5", "--count", "2"),
+        page="grasping.md",
+    ),
+    Benchmark("bins", "Bins of mixed objects", ("--seeds", "1", "--counts", "12"), page="tasks.md"),
+    Benchmark("mesh_poses", "Poses of known meshes", ("--set", "tune", "--poses", "1"), page="perception.md"),
+    Benchmark("solid_regions", "Solid regions of meshes", ("--poses", "200"), page="grasping.md"),
+    Benchmark(
+        "holding",
+        "Held objects",
+        ("--seconds", "5", "--runs", "0"),
+        full=("--runs", "10"),
+        page="grasping.md",
+    ),
     Benchmark("constraints", "Path constraints", ("--runs", "3", "--rejection", "2")),
     Benchmark("kernel_truth", "The kernel against exact meshes", ("--samples", "20000")),
     Benchmark("perception", "Perception", ("--scenes", "5")),
     Benchmark("robots", "Vendors' robots", page="robots.md"),
-    Benchmark("robot_picks", "Picks of each robot", ("panda", "--seeds", "1")),
+    Benchmark("robot_picks", "Picks of each robot", ("panda", "--seeds", "1"), page="robots.md"),
     Benchmark("wires", "The ROS-TCP wire", ("--seconds", "5")),
-    Benchmark("two_arms", "Two arms", ("--runs", "1", "--recheck", "1", "--batches", "1")),
+    Benchmark(
+        "two_arms", "Two arms", ("--runs", "1", "--recheck", "1", "--batches", "1"), page="two_arms.md"
+    ),
     Benchmark("carry", "Carrying round obstacles", ("--scenes", "4", "--recheck", "1", "--physics", "1")),
-    Benchmark("franka", "An emulated Franka arm", ("stops", "--count", "4"), full=("stops",)),
+    Benchmark(
+        "franka", "An emulated Franka arm", ("stops", "--count", "4"), full=("stops",), page="real_franka.md"
+    ),
     Benchmark("ur_stops", "Stops of two emulated UR10", ("--count", "4"), draws=True),
     Benchmark(
         "twin_guard",
@@ -184,7 +201,8 @@ def page(kept: dict[str, Any]) -> str:
         "# Benchmarks",
         "The command `make bench` runs every benchmark in `benchmarks/` and writes the results to this page. "
         'To run only some benchmarks, name them: `make bench ONLY="campaign wires"`. For a short test of the '
-        "benchmarks, run `make bench SIZE=quick`, which executes fewer runs and does not change this page.",
+        "benchmarks, run `make bench SIZE=quick`, which executes fewer runs and does not change this page. "
+        "The file `benchmarks/kept.json` contains the complete output of each benchmark.",
     ]
     for benchmark in BENCHMARKS:
         parts += [f"## {benchmark.title}", *section(benchmark, kept.get(benchmark.name))]
@@ -200,11 +218,11 @@ def section(benchmark: Benchmark, found: dict[str, Any] | None) -> list[str]:
     drawn = []
     if benchmark.draws and (PAGE.parent / picture(benchmark)).exists():
         drawn.append(f"![{benchmark.title}]({picture(benchmark)})")
-    if benchmark.page and (PAGE.parent / benchmark.page).exists():
+    if benchmark.page and found is not None and (PAGE.parent / benchmark.page).exists():
         written = (PAGE.parent / benchmark.page).read_text(encoding="utf-8").splitlines()
         drawn += [line for line in written if line.startswith("![")]
     if found is None:
-        return [*where, f"There are no results yet: run `make bench ONLY={benchmark.name}`."]
+        return where or [f"There are no results yet: run `make bench ONLY={benchmark.name}`."]
     how = (
         "| date | duration | load before | machine | versions |\n|---|---|---|---|---|\n"
         f"| {found['date']} | {found['seconds'] / 60:.1f} minutes | {found['load']:.1f} "
@@ -214,36 +232,32 @@ def section(benchmark: Benchmark, found: dict[str, Any] | None) -> list[str]:
         return [*where, how, f"Left out: {' '.join(found['printed'][-1:])}"]
     if found["status"] != 0:
         how += f"\n\nThe benchmark failed with status {found['status']}."
-    plain, table = split(found["printed"])
     if benchmark.page:
         return [*where, how, *drawn]
-    tables = ["\n".join(table)] if table else []
-    if len(plain) <= LONG:
-        return [how, *as_printed(plain), *tables, *drawn]
-    outline = [line for line in plain if not line.startswith(" ")]
-    shown = as_printed(outline) if len(outline) <= LONG else []
-    return [how, *shown, *tables, *drawn, folded(plain)]
+    return [how, *results(found["printed"]), *drawn]
 
 
-def as_printed(lines: list[str]) -> list[str]:
-    return ["```\n" + "\n".join(lines) + "\n```"] if lines else []
+def results(lines: list[str]) -> list[str]:
+    """Return what a benchmark printed as tables and lists. Progress (indented), log lines of files and JSON
+    are left out; `kept.json` has them.
+    """
+    shown = [line for line in lines if line.strip() and line[0] not in " /{}" and '{"' not in line]
+    parts: list[str] = []
+    for columns, group in groupby(shown, lambda line: len(cells(line))):
+        rows = [cells(line) for line in group]
+        if columns == 1:
+            parts.append("\n".join(f"- {row[0]}" for row in rows))
+            continue
+        has_header = not any(cell[:1].isdigit() for cell in rows[0][1:])
+        header, rows = (rows[0], rows[1:]) if has_header else ([*NO_HEADER, *[""] * columns][:columns], rows)
+        rows = [row for row in rows if set("".join(row)) - set("-:")]  # without the rule of a Markdown table
+        parts.append("\n".join(f"| {' | '.join(row)} |" for row in (header, ["---"] * columns, *rows)))
+    return parts
 
 
-def folded(lines: list[str]) -> str:
-    """To be opened by a click."""
-    text = escape("\n".join(lines), quote=False)
-    return f"<details><summary>Complete output</summary>\n<pre>\n{text}\n</pre>\n</details>"
-
-
-def split(lines: list[str]) -> tuple[list[str], list[str]]:
-    """What is printed as it is, and the Markdown table at its end, if there is one."""
-    end = len(lines)
-    while end and not lines[end - 1].strip():
-        end -= 1
-    first = end
-    while first and lines[first - 1].startswith("|"):
-        first -= 1
-    return [line for line in lines[:first] if line.strip()], lines[first:end]
+def cells(line: str) -> list[str]:
+    """Return the columns of a line that a benchmark printed, by bars or by two spaces and more."""
+    return COLUMNS.split(line.strip().strip("|").strip())
 
 
 if __name__ == "__main__":

@@ -45,9 +45,10 @@ def test_the_page_has_what_was_printed(tmp_path, monkeypatch, capfd):
         monkeypatch.setattr(sys, "argv", ["benchmarks", "--only", *only])
         assert everything.main() == status
     page, kept = (tmp_path / "page.md").read_text(), json.loads((tmp_path / "kept.json").read_text())
+    assert "a line" in kept["good"]["printed"]
     good, bad, unable, later = page.split("\n## ")[1:]
     assert (
-        "```\na line\n```\n\n| a | b |\n|---|---|\n| 1 | 2 |" in good
+        "- a line\n\n| a | b |\n| --- | --- |\n| 1 | 2 |" in good
         and "mujoco" in good
         and "failed" not in good
     )
@@ -55,14 +56,20 @@ def test_the_page_has_what_was_printed(tmp_path, monkeypatch, capfd):
     assert "[Bad](own.md)" in bad and "![A plot](pictures/own.png)" in bad
     assert "failed with status 3" in bad and "Left out: | 1 | 2 |" in unable
     assert "make bench ONLY=later" in later
-    assert "<details>" not in page
-    lines = [f"{'  ' * (n % 2)}line {n} <" for n in range(40)]
-    long = "\n\n".join(everything.section(table[0], {**kept["good"], "printed": [*lines, "| a |"]}))
-    outline, _, folded = long.partition("<details>")
-    assert (
-        "line 38 <" in outline
-        and "line 39" not in outline
-        and "line 39 &lt;" in folded
-        and "| a |" in outline
-    )
+    assert "```" not in page
     assert capfd.readouterr().out.count("a line") == 3
+
+
+def test_results_are_tables_and_lists_without_progress_and_logs():
+    printed = [
+        "  0 wall: 0.25 s", "", "/a/file.urdf: a warning", 'states {"lost": 0}', "10 of 10 solved",
+        "robot     samples  touching", "panda     999,950         0",
+        "what | measured", "trials | 12",
+    ]  # fmt: skip
+    solved, first, second = everything.results(printed)
+    assert solved == "- 10 of 10 solved"
+    assert first == "| robot | samples | touching |\n| --- | --- | --- |\n| panda | 999,950 | 0 |"
+    assert second == "| what | measured |\n| --- | --- |\n| trials | 12 |"
+    assert everything.results(["waits    0.5  at most 1"]) == [
+        "| what | measured | bar |\n| --- | --- | --- |\n| waits | 0.5 | at most 1 |"
+    ]
