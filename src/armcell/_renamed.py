@@ -31,7 +31,7 @@ NAMES = {
     "cell.parsed": "cell.parse_value",
     "collision.Arms": "collision.InterArmChecker",
     "collision.cone": "collision.view_cone",
-    "collision.links_apart": "collision.link_hull_distances",
+    "collision.links_apart": "collision.links_by_distance",
     "collision.links_within": "collision.links_in_hull",
     "collision.neighbours": "collision.neighbors",
     "collision.without_arm": "collision.without_arms",

@@ -8,7 +8,7 @@ from armcell.collision.resting_height import resting_shift
 from armcell.collision.self_collision import disabled_collision_pairs
 from armcell.collision.self_filter import object_mask, remove_robot_points, robot_mask
 from armcell.collision.touch_links import attached_by_contact, touching_links
-from armcell.collision.view_cone import link_hull_distances, links_in_hull, view_cone
+from armcell.collision.view_cone import links_by_distance, links_in_hull, view_cone
 
 __all__ = [
     "Certificate",
@@ -20,7 +20,7 @@ __all__ = [
     "certify_path",
     "certify_timed",
     "disabled_collision_pairs",
-    "link_hull_distances",
+    "links_by_distance",
     "links_in_hull",
     "neighbors",
     "object_mask",

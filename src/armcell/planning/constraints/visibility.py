@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -94,4 +96,5 @@ def _angle(a: Array, b: Array) -> float:
     """Compute the angle [rad] between two directions, such as the view angle of a visibility constraint. The
     result is accurate even for small angles.
     """
-    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+    (u, v, w), (x, y, z) = a.tolist(), b.tolist()  # plain floats: a tenth of the time of np.cross
+    return math.atan2(math.hypot(v * z - w * y, w * x - u * z, u * y - v * x), u * x + v * y + w * z)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision import link_hull_distances, view_cone
+from armcell.collision import links_by_distance, view_cone
 from armcell.core import Constraints, VisibilityConstraint
 from armcell.core.geometry import local_bounds
 from armcell.kinematics import kinematic_tree
@@ -124,10 +124,14 @@ class VisibilityManifold(ConstraintManifold):
             return tightest
         corners = view_cone(sensor.translation, target, c.target_radius, c.cone_sides)
         moved = max(view.sensor_reach @ moves, view.rim_reach @ moves)
-        for link, apart in link_hull_distances(at, corners, view.own).items():
-            if apart <= back:
+        changes = dict(zip(view.links, (moved + view.link_reach @ moves).tolist(), strict=True))
+        most = max(changes.values(), default=0.0)
+        for link, bound, distance in links_by_distance(at, corners, view.own):
+            if bound > back and bound - back - most >= tightest:
+                break  # neither this link nor a farther one decides
+            if (apart := distance()) <= back:
                 return -np.inf
-            tightest = min(tightest, apart - back - float(moved + view.link_reach[link] @ moves))
+            tightest = min(tightest, apart - back - changes[link])
         return tightest
 
 
@@ -144,7 +148,8 @@ class _View:
     sensor_reach: Array  # [m] bound of the sensor origin's distance from each joint's axis
     target_reach: Array  # [m] for the target's center
     rim_reach: Array  # [m] for the target's rim
-    link_reach: dict[str, Array]  # [m] for the links' farthest points
+    links: tuple[str, ...]  # with collision shapes
+    link_reach: Array  # (links, dof) [m] for the links' farthest points
 
     @classmethod
     def of(cls, scene: PlanningScene, group: str, c: VisibilityConstraint) -> _View:
@@ -168,7 +173,8 @@ class _View:
             c, own_links(scene, c), apart, apart * turning * most, reach(sensor_link, eye.translation),
             reach(target_link, disc.translation),
             reach(target_link, float(np.linalg.norm(disc.translation)) + c.target_radius),
-            {name: reach(name, far) for name, far in links.items()},
+            tuple(links),
+            np.array([reach(name, far) for name, far in links.items()]).reshape(-1, len(names)),
         )  # fmt: skip
 
 
