@@ -111,6 +111,21 @@ def test_what_a_motion_beside_it_may_touch_does_not_stop_a_motion(driver, scene)
     assert gate.motion(into).begin() is not None  # who is not allowed to touch it does not start
 
 
+def test_a_motion_beside_it_allows_no_contact_of_what_a_motion_moves(driver, scene):
+    """The scene of one arm's motion allows the other hand in a crate, but the other motion does not."""
+    crate = CollisionObject.single("crate", Box(0.2, 0.2, 0.2), scene.frame_pose("right_gripper_tcp"))
+    beside = scene.with_object(crate)
+    allowed = beside.with_allowed("crate", list(scene.model.links))
+    gate = MotionGate(DriverWorld(driver, beside))
+    first, second = (
+        gate.motion(plans()["left_arm"], planned_in=allowed),
+        gate.motion(back_off("right_arm", scene)),
+    )
+    assert first.begin() is None
+    assert second.begin() is not None and "crate" in str(second.conflict)
+    first.end(Outcome(ErrorCode.SUCCESS))
+
+
 def back_off(group: str, scene: PlanningScene) -> JointTrajectory:
     """A short motion of one joint of an arm at home, away from the other arm."""
     names = scene.model.group(group).joint_names

@@ -37,7 +37,13 @@ def moved_links(model: RobotModel, group: str) -> frozenset[str]:
     """Return all links that move with the joints of an arm, including links that are mounted on the arm, for
     checks between arms.
     """
-    tree, columns = kinematic_tree(model), set(model.columns(model.group(group).joint_names))
+    return links_of_joints(model, model.group(group).joint_names)
+
+
+@lru_cache(maxsize=64)
+def links_of_joints(model: RobotModel, joint_names: tuple[str, ...]) -> frozenset[str]:
+    """Return all links that move with joints of a robot, for checks between arms."""
+    tree, columns = kinematic_tree(model), set(model.columns(joint_names))
     return frozenset(
         name
         for name in model.links

@@ -16,6 +16,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from armcell.collision.inter_arm_checker import links_of_joints
 from armcell.collision.motion_proof import (
     ActiveMotion,
     Conflict,
@@ -130,7 +131,8 @@ class MotionGate:
         mine = set(motion.trajectory.joint_names)
         running = [r for r in list(self._running) if r is not ignore and not mine & set(r.joint_names)]
         others = [r.remaining_motion(scene) for r in running]
-        scene = replace(scene, allowed_pairs={**_allowed_by(running), **scene.allowed_pairs})
+        beside = _allowed_beside(running, scene, tuple(motion.trajectory.joint_names))
+        scene = replace(scene, allowed_pairs={**beside, **scene.allowed_pairs})
         found = first_conflict(scene, motion, others, self.shift, planned)
         if found is not None or self.world.follows_clock:
             return found
@@ -347,12 +349,31 @@ class GuardedMotion(Executable):
         return data
 
 
-def _allowed_by(running: Iterable[GuardedMotion]) -> dict[frozenset[str], bool]:
+def _allowed_beside(
+    running: Iterable[GuardedMotion], scene: PlanningScene, joint_names: tuple[str, ...]
+) -> dict[frozenset[str], bool]:
     """Return the contacts that running motions were planned with, such as those of a hand that reaches into a
-    heap. The motion gate allows them when it checks another motion.
+    heap. The motion gate allows them when it checks another motion, but no contact of what this motion moves.
+
+    Args:
+        scene: scene of the check.
+        joint_names: joints of the checked motion.
     """
-    scenes = [motion.planned_in for motion in running if motion.planned_in is not None]
-    return {pair: True for scene in scenes for pair, yes in scene.allowed_pairs.items() if yes}
+    mine, found = _moved_bodies(scene, joint_names), {}
+    for other in running:
+        if other.planned_in is not None:
+            theirs = _moved_bodies(scene, other.joint_names) | _moved_bodies(
+                other.planned_in, other.joint_names
+            )
+            allowed = other.planned_in.allowed_pairs.items()
+            found |= {pair: True for pair, yes in allowed if yes and pair & theirs and not pair & mine}
+    return found
+
+
+def _moved_bodies(scene: PlanningScene, joint_names: tuple[str, ...]) -> frozenset[str]:
+    """Return the links and held objects that move with joints of the robot."""
+    links = links_of_joints(scene.model, joint_names)
+    return links | {name for name, body in scene.attached.items() if body.link in links}
 
 
 def describe(found: Conflict, passed: float, began: bool) -> str:
