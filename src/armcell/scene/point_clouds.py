@@ -334,7 +334,7 @@ def seen_through(
 
 
 def _meters(depth: ArrayLike) -> F64:
-    """Return the depths [m] of a depth image (rows, columns); 0 where there is none."""
+    """Return the depths [m] of a depth image (rows, columns). Pixels without depth are 0."""
     float_array(depth, None, "a depth image", finite=False)
     image = np.asarray(depth)
     if image.ndim != 2 or image.dtype.kind not in "fiu":

@@ -42,7 +42,7 @@ class Cloud:
 
     The leaves of the tree are blocks of parts. `box` at the pose `T_shape_box` (4, 4) encloses all parts.
     `closed` is True if the triangles enclose a solid. `order` contains the index of the part in each lane of
-    the blocks, and repetitions of the last part fill the last block; it is None after an update.
+    the blocks, and repetitions of the last part fill the last block. A partly converted cloud has no order.
     """
 
     kind: int
