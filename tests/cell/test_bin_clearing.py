@@ -16,7 +16,7 @@ from armcell.cell.validation import validated
 from armcell.core import ErrorCode, InputError, UnknownNameError
 from armcell.scene import library_object
 from armcell.tasks.bin_clearing import BinClearingSettings, clear_bin
-from armcell.tasks.bin_clearing.work_regions import table_around, view_region
+from armcell.tasks.bin_clearing.work_regions import floor_of, table_around, view_region
 
 CALL = {"into": "tray", "table": "work_table", "camera": "above_bin", "tray_camera": "above_tray"}
 
@@ -297,6 +297,20 @@ def test_a_flat_piece_between_bin_and_tray_is_seen(y):
 
 
 @pytest.mark.slow
+def test_a_view_without_a_place_lacks_the_pieces_there_but_keeps_their_heights():
+    with two_things().connect("sim", seed=0) as live:
+        s = BinClearingSettings()
+        region = floor_of(live.scene(), "bin", s)
+        seen = view_region(live.ctx, lambda: live.cameras["above_bin"].image(rgb=False), region, s)
+    rest = seen.without([np.array([0.62, -0.30])], 0.10)
+    assert (seen.count, rest.count) == (2, 1) and not seen.is_old and rest.is_old
+    at = rest.map.at(np.argwhere(rest.labels == 0))[:, :2].mean(axis=0)
+    np.testing.assert_allclose(at, (0.78, -0.36), atol=0.01)
+    np.testing.assert_array_equal(rest.map.heights, seen.map.heights)
+    assert seen.without([np.array([0.70, -0.32])], 0.20).count == 0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("y, beside", [(0.47, 0), (0.62, 1)])
 def test_an_object_that_leans_over_the_wall_of_the_tray_is_in_it_if_most_of_it_is(y, beside):
     """The bar lies on the wall at y = 0.56; its middle is over the tray or beside it."""
@@ -380,13 +394,16 @@ def test_two_arms_clear_one_bin_in_turns_and_one_picks_while_the_other_puts():
             assert outcome.ok, outcome.message
             assert [outcome.evidence[k] for k in ("cleared", "left", "beside")] == [4, 0, 0]
             assert live.driver.unwanted_contacts() == [] and live.driver.welds() == []
-            picks = [intervals(live, arm, "approach", "lift") for arm in ("left_arm", "right_arm")]
-            fetches = [intervals(live, arm, "move to pre-grasp", "lift") for arm in ("left_arm", "right_arm")]
-            puts = [intervals(live, arm, "move to tray", "lower") for arm in ("left_arm", "right_arm")]
+            arms = ("left_arm", "right_arm")
+            picks = [intervals(live, arm, "approach", "close") for arm in arms]
+            fetches = [intervals(live, arm, "move to pre-grasp", "close") for arm in arms]
+            lifts = [intervals(live, arm, "lift", "lift") for arm in arms]
+            puts = [intervals(live, arm, "move to tray", "lower") for arm in arms]
             ends.append((live.driver.now, live.driver.joint_state().positions.tobytes()))
     assert all(len(p) >= 1 for p in picks)
     assert overlap(*picks) == 0.0
     assert overlap(fetches[0], puts[1]) + overlap(fetches[1], puts[0]) > 1.0
+    assert overlap(fetches[0], lifts[1]) + overlap(fetches[1], lifts[0]) > 0.2  # from the last image
     assert ends[0] == ends[1]  # the same seed gives the same run
 
 

@@ -322,6 +322,14 @@ class TaskContext:
         """
         return False
 
+    def is_hidden(self, corners: NDArray[np.float64]) -> bool:
+        """Return whether another arm hides a region from a camera now. A single arm hides nothing.
+
+        Args:
+            corners: as for `await_view`.
+        """
+        return False
+
     def rendezvous(self, name: str) -> None:
         """Wait in a task's context until the programs of all other arms reach the same rendezvous point.
 

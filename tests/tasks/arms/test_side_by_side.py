@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.planning.multi_arm.dual import LEFT, RIGHT, Judge, tip
+from tests.planning.multi_arm.dual import LEFT, RIGHT, Judge, tip, with_tips
 from tests.sizes import seeds
 
 import armcell
+from armcell.collision.inter_arm_checker import InterArmChecker
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.planning import goal_of
 from armcell.tasks import checked
+from armcell.tasks.arms.side_by_side import MotionCoordinator
 from armcell.tasks.stages import Connect
 from armcell.tasks.steps import CommandGripper, ParallelMotions
 from armcell.tasks.task import plan_stages
@@ -94,22 +96,67 @@ def test_who_stands_in_the_way_for_good_makes_way(cell):
 def test_a_camera_waits_until_no_arm_hides_what_it_looks_at(cell):
     """Left rests over the middle of the table, where right's camera looks."""
     view = np.array([(0.0, 0.0, 1.9), *((x, y, 0.91) for x in (-0.1, 0.1) for y in (-0.1, 0.1))])
-    waited = []
+    waited, hidden = [], []
 
     def look(arm):
         arm.rendezvous("left is there")
+        hidden.append(arm._ctx.is_hidden(view))
         waited.extend(arm._ctx.await_view(view) for _ in range(2))
+        hidden.append(arm._ctx.is_hidden(view))
 
     def rest(arm):
         checked(arm.move_to(tip(0.0, 0.0)))
         arm.rendezvous("left is there")
 
     with cell.connect("fake") as live:
-        assert not live.ctx.await_view(view)  # one arm does not wait
+        assert not live.ctx.await_view(view) and not live.ctx.is_hidden(view)  # one arm does not wait
         result = live.side_by_side(left_arm=rest, right_arm=look)
         assert result.ok, result.message
         hand = live.scene().frame_pose("left_gripper_tcp").translation
+    assert hidden == [True, False]
     assert waited == [True, False] and result.yielded[LEFT] == 1 and abs(hand[1]) > 0.2
+
+
+def test_an_arm_that_cannot_yield_asks_the_arm_that_asked_it(cell, monkeypatch):
+    """No path leads left home, so right goes home, although it asked first."""
+    plan = MotionCoordinator._plan
+
+    def stuck(self, ctx, *rest):
+        return None if ctx.group == LEFT else plan(self, ctx, *rest)
+
+    def rest(arm):
+        checked(arm.move_to(tip(0.0, 0.2)))
+        arm.rendezvous("both are there")
+
+    def ask(arm):
+        checked(arm.move_to(tip(0.0, -0.2)))
+        arm.rendezvous("both are there")
+        coordinator = arm._ctx.coordinator
+        coordinator.asked[LEFT].add(RIGHT)
+        coordinator.yield_to_others(coordinator.contexts[LEFT])
+        assert coordinator.asked == {LEFT: set(), RIGHT: {LEFT}}
+        coordinator._idle(arm._ctx)
+
+    monkeypatch.setattr(MotionCoordinator, "_plan", stuck)
+    with cell.connect("fake") as live:
+        result = live.side_by_side(left_arm=rest, right_arm=ask)
+        assert result.ok, result.message
+    assert result.yielded == {LEFT: 0, RIGHT: 1}
+
+
+def test_arms_that_rest_close_together_may_move_apart():
+    """At rest with a distance just above the clearance, no motion could keep the whole clearance."""
+    coordinator = MotionCoordinator((LEFT, RIGHT), 0.02, 30.0)
+    seen = []
+    for y in np.arange(0.05, 0.20, 0.001):
+        scene = with_tips((0.0, y), (0.0, -y))
+        arms = InterArmChecker(scene, (LEFT, RIGHT))
+        near = arms.contact(scene.state.reindexed(arms.joint_names).positions)
+        distance = np.inf if near is None else near.distance
+        expected = 0.02 if distance >= 0.025 else max(distance - 0.005, 0.0)
+        assert coordinator._clearance_now(arms, scene) == pytest.approx(expected)
+        seen.append(distance)
+    assert any(0.02 < distance < 0.025 for distance in seen)
 
 
 def test_a_motion_during_which_the_fingers_move_waits_and_takes_no_detour(cell):

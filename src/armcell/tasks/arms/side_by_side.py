@@ -36,10 +36,11 @@ from armcell.tasks.context import HeldObject, TaskContext
 from armcell.tasks.steps import Motion
 
 CLEARANCE = 0.02  # [m] between the arms
+LEEWAY = 0.005  # [m] by which arms at rest beside each other may come closer when they move apart
 PATIENCE = 30.0  # [s] of the driver's clock that an arm waits until its motion may start
 RETRY = 0.1  # [s] between attempts of an arm that waits to move
 IDLE = 0.02  # [s] between checks of an arm that waits for a zone or another arm
-AWAY = 0.005  # [rad] an arm further than this from a motion's start returns there first
+AWAY = 0.005  # [rad] an arm that has yielded further than this from its motion's start returns there first
 HOME = "home"
 MOTION = "motion"
 __all__ = ["MotionCoordinator"]
@@ -80,6 +81,9 @@ class ArmContext(TaskContext):
 
     def await_view(self, corners: NDArray[np.float64]) -> bool:
         return self.coordinator.await_view(self, corners)
+
+    def is_hidden(self, corners: NDArray[np.float64]) -> bool:
+        return bool(self.coordinator.hiding(self, corners))
 
     def rendezvous(self, name: str) -> None:
         self.coordinator.rendezvous(self, name)
@@ -190,6 +194,7 @@ class MotionCoordinator:
         self.searched: dict[str, int] = dict.fromkeys(groups, 0)  # motions found in space and time
         self._arrived: dict[str, set[str]] = {}
         self._heading: dict[str, str] = {}  # the zone that an arm approaches
+        self._away: set[str] = set()  # arms that have yielded since their last motion
 
     def others(self, group: str) -> tuple[str, ...]:
         return tuple(other for other in self.groups if other != group)
@@ -208,6 +213,7 @@ class MotionCoordinator:
             found = self._try(ctx, motion.trajectory, straight, motion)
             if found is not None:
                 self._stop_waiting(me)
+                self._away.discard(me)
                 return found
             if ctx.driver.now - began > self.patience:
                 blockers = self.blockers.get(me, ())
@@ -230,12 +236,14 @@ class MotionCoordinator:
         now, scene, me = ctx.driver.now, ctx.whole_scene(), ctx.group
         others = self._running_besides(me)
         q = scene.state.reindexed(wanted.joint_names).positions
-        if np.max(np.abs(q - wanted.positions[0])) > AWAY:  # it yielded: return to the motion's start
+        if me in self._away and np.max(np.abs(q - wanted.positions[0])) > AWAY:
+            # return to the motion's start; a contact at the start may shift an arm that has not yielded
             if self._has_lower_priority(me):
                 return None
             back = self._plan(ctx, scene, wanted.positions[0])
             if back is None or not self.perform(ctx, back, f"{me} returns"):
                 return None
+            self._away.discard(me)
             now, scene, others = ctx.driver.now, ctx.whole_scene(), self._running_besides(me)
         if self._free(ctx, scene, wanted, others, now):
             self.running[me] = RunningMotion(wanted, now)
@@ -288,13 +296,14 @@ class MotionCoordinator:
 
     def _clearance_now(self, arms: InterArmChecker, scene: PlanningScene) -> float:
         """Return the clearance that the coordinator requires between arms side by side. If the arms are
-        already closer, return slightly less than their present distance.
+        already closer or nearly as close, return slightly less than their present distance, so that they can
+        move apart.
         """
         q = scene.state.reindexed(arms.joint_names).positions
-        if arms.find_too_close(q[None], None, self.clearance) < 0:
+        if arms.find_too_close(q[None], None, self.clearance + LEEWAY) < 0:
             return self.clearance
         near = arms.contact(q)
-        return self.clearance if near is None else max(min(self.clearance, near.distance - 2e-3), 0.0)
+        return self.clearance if near is None else max(min(self.clearance, near.distance - LEEWAY), 0.0)
 
     def _plan(self, ctx: ArmContext, scene: PlanningScene, q, motion: Motion | None = None):
         links = moved_links(scene.model, ctx.group)
@@ -307,8 +316,9 @@ class MotionCoordinator:
             acceleration_scaling=speed.acceleration, seed=ctx.seed,
         )  # fmt: skip
         others = self._running_besides(ctx.group)
+        clearance = self._clearance_now(InterArmChecker(scene, (ctx.group, *others), ctx.group), scene)
         result: PlanResult = plan_around_moving_arms(
-            scene, request, others, ctx.driver.now, self.clearance, ctx.cancel
+            scene, request, others, ctx.driver.now, clearance, ctx.cancel
         )
         found = result.trajectory if result.ok else None
         if found is None or ctx.driver.is_simulated:
@@ -366,8 +376,9 @@ class MotionCoordinator:
         """Make an arm yield to the arms that work side by side with it: move it to its home state, if
         possible.
 
-        An arm that is already there does not move.
+        An arm that is already there does not move. If the arms that asked leave no path home, they yield.
         """
+        askers = set(self.asked[ctx.group])
         self.asked[ctx.group].clear()
         scene = ctx.whole_scene()
         home = scene.model.named_state(ctx.group, HOME)
@@ -378,7 +389,11 @@ class MotionCoordinator:
         if motion is not None:
             ctx.emit("note", f"{ctx.group} yields")
             self.yielded[ctx.group] += 1
+            self._away.add(ctx.group)
             self.perform(ctx, motion, f"{ctx.group} yields")
+        else:
+            for asker in askers:
+                self.asked[asker].add(ctx.group)
 
     def _timed_out(self, ctx: ArmContext, motion: Motion, blockers: tuple[str, ...]) -> Outcome:
         scene, others = ctx.whole_scene(), self._running_besides(ctx.group)
@@ -448,7 +463,7 @@ class MotionCoordinator:
         """
         began, me = ctx.driver.now, ctx.group
         while not ctx.cancel.is_set() and ctx.driver.now - began < self.patience:
-            hiding = self._hiding(ctx, corners)
+            hiding = self.hiding(ctx, corners)
             if not hiding:
                 break
             self.waits.setdefault(me, (ctx.driver.now, "a view"))
@@ -460,7 +475,7 @@ class MotionCoordinator:
         self._stop_waiting(me)
         return began < ctx.driver.now < began + self.patience
 
-    def _hiding(self, ctx: ArmContext, corners: NDArray[np.float64]) -> list[str]:
+    def hiding(self, ctx: ArmContext, corners: NDArray[np.float64]) -> list[str]:
         """Return which other arms that work side by side are in a camera's view."""
         scene, others = ctx.whole_scene(), self.others(ctx.group)
         arms = {other: moved_links(scene.model, other) for other in others}

@@ -6,6 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armcell.core import ErrorCode, InputError, NamedGoal, Outcome
 from armcell.grasping import (
     Grasp,
@@ -26,6 +29,7 @@ from armcell.tasks.bin_clearing.stages import (
     ChooseFromHeap,
     ChooseReleasePoint,
     CloseOnHeap,
+    GripUntilForce,
     ReleaseAboveTray,
     detach_held,
     held_object,
@@ -47,7 +51,7 @@ from armcell.tasks.pick import Pick, grasp_stages
 from armcell.tasks.search import PartialSolution, Stage
 from armcell.tasks.stages import AppendPlannedMotion, Connect, MoveStraight, RunSteps
 from armcell.tasks.stages.fingers import opened_in_transit
-from armcell.tasks.steps import CommandGripper, perform_all
+from armcell.tasks.steps import CommandGripper, Step, perform_all
 from armcell.tasks.task import plan_stages
 
 LIFTED = 0.02  # [m] of a lift that a retreat does not finish
@@ -68,6 +72,8 @@ class BinClearingCounts:
     avoid: list[HeapGrasp] = field(default_factory=list)  # failed grasps
     pushed: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], direction [rad]
     left: dict[str, str] = field(default_factory=dict)  # regions set aside, with the number of pieces in each
+    last_view: RegionView | None = None  # of the bin; None after an attempt that may have moved any piece
+    touched: list[NDArray[np.float64]] = field(default_factory=list)  # x, y [m] of the grasps since then
 
     def as_dict(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if isinstance(v, int) and k != "in_a_row"}
@@ -145,9 +151,9 @@ class _BinClearing:
         counts = self.counts
         while not self.ctx.cancel.is_set():
             with self.ctx.reserve(self.bin):
-                put, end = self._pick()
-            if put is not None:
-                outcome = self._put(*put)
+                pick, end = self._grasp()
+            if pick is not None:  # the next arm may move to the bin while this one lifts its object
+                outcome = self._put_away(pick)
                 if outcome.ok:
                     counts.in_a_row, counts.avoid, counts.pushed = 0, counts.avoid[-6:], []
                 else:
@@ -158,12 +164,17 @@ class _BinClearing:
                 return Outcome(end.code, end.message, counts.as_dict())
         return Outcome(ErrorCode.PREEMPTED, "cancelled", counts.as_dict())
 
-    def _pick(self) -> tuple[tuple[PartialSolution, HeapGrasp] | None, Outcome | None]:
-        """Let `clear_bin` look, pick an object and plan how to put it into the tray, or push a piece off a
-        wall. Return the planned motion with the grasp if the hand holds an object, and the end of the task
-        if it ends.
+    def _grasp(self) -> tuple[_PickFromHeap | None, Outcome | None]:
+        """Let `clear_bin` look and grasp an object, or push a piece off a wall. Return the pick if the hand
+        holds an object, and the end of the task if it ends.
         """
         ctx, s, counts = self.ctx, self.settings, self.counts
+        if (old := self._old_view()) is not None and counts.picks < s.most_picks:
+            pick, outcome = self._grasp_from(old)
+            if outcome.ok:
+                return pick, None
+            if outcome.code is not ErrorCode.PLANNING_FAILED:
+                return None, self._failed(outcome)
         here = first_not_empty(ctx, [(eye, r) for eye, r in self._regions if r.name not in counts.left], s)
         if isinstance(here, Outcome):
             if here.ok and not self._is_away and counts.picks + counts.pushes > 0:
@@ -182,15 +193,12 @@ class _BinClearing:
             counts.left[here.region.name] = where
             counts.in_a_row = 0
             return None, None
-        add_heap(ctx, here)
+        counts.last_view, counts.touched = here if here.region is self._regions[0][1] else None, []
         self._is_away = False
-        pick = _PickFromHeap(self, here, self._any_grasp)
+        pick, outcome = self._grasp_from(here)
         self._any_grasp = False
-        outcome = pick.run()
         if outcome.ok:
-            put, outcome = self._plan_put(pick.grasp, here.region)
-            if put is not None:
-                return (put, pick.grasp), None
+            return pick, None
         end = self._failed(outcome)
         if outcome.code is ErrorCode.PLANNING_FAILED:
             if len(counts.pushed) < s.most_pushes:
@@ -199,6 +207,39 @@ class _BinClearing:
             counts.in_a_row -= outcome.ok  # the piece may have a grasp now
             end = outcome if outcome.code in _FINAL else None
         return None, end
+
+    def _old_view(self) -> RegionView | None:
+        """Return what the last image shows of the bin, without the pieces that an arm may have moved since,
+        while another arm hides the bin from the camera. None if no piece remains.
+        """
+        view = self.counts.last_view
+        if view is None or not self.ctx.is_hidden(view.corners):
+            return None
+        rest = view.without(self.counts.touched, self.settings.touched)
+        return rest if rest.count else None
+
+    def _grasp_from(self, here: RegionView) -> tuple[_PickFromHeap, Outcome]:
+        """Let `clear_bin` close the hand on an object that it sees in a work region."""
+        add_heap(self.ctx, here)
+        pick = _PickFromHeap(self, here, self._any_grasp)
+        outcome = pick.run()
+        if outcome.ok:
+            self.counts.touched.append(pick.grasp.T_object_tcp.translation[:2])
+        elif outcome.code is not ErrorCode.PLANNING_FAILED:
+            self.counts.last_view = None
+        return pick, outcome
+
+    def _put_away(self, pick: _PickFromHeap) -> Outcome:
+        """Let `clear_bin` lift the object in the hand, and release it over the tray."""
+        outcome = perform_all(self.ctx, pick.lift)
+        if outcome.code is ErrorCode.PREEMPTED:
+            return outcome
+        if not outcome.ok:
+            self.counts.last_view = None
+            pick.recover(outcome)
+            return outcome
+        put, outcome = self._plan_put(pick.grasp, pick.region)
+        return outcome if put is None else self._put(put, pick.grasp)
 
     def _failed(self, outcome: Outcome) -> Outcome | None:
         """Count a failed attempt of `clear_bin`. Return the outcome if it ends the task."""
@@ -230,6 +271,7 @@ class _BinClearing:
             return outcome
         push: HeapPush = solution.data["grasp"]
         counts.pushes += 1
+        counts.last_view = None
         counts.pushed.append((*push.T_object_tcp.translation[:2].tolist(), push.angle))
         outcome = perform_all(ctx, opened_in_transit(ctx.scene(), solution.steps))
         self.retreat(push)
@@ -344,14 +386,16 @@ def _given_up(last: str, where: Iterable[str]) -> Outcome:
 class _PickFromHeap(Pick):
     """Pick of one unknown object from the heap in `clear_bin`. A camera locates the objects.
 
-    After a failure, `clear_bin` takes a new image.
+    The pick ends when the hand has closed on the object; the steps in `lift` follow. After a failure,
+    `clear_bin` takes a new image.
     """
 
     grasp: HeapGrasp  # the chosen grasp, after `plan`
+    lift: tuple[Step, ...]  # lift and check, after `plan`
 
     def __init__(self, clearing: _BinClearing, here: RegionView, any_grasp: bool):
         super().__init__(f"pick {here.region.name}", lambda text: None)
-        self._clearing, self._here, self._any_grasp = clearing, here, any_grasp
+        self._clearing, self._here, self._any_grasp, self.region = clearing, here, any_grasp, here.region
 
     def plan(self) -> tuple[PartialSolution | None, Outcome]:
         ctx, gripper, s = self._clearing.ctx, self._clearing.gripper, self._clearing.settings
@@ -371,11 +415,14 @@ class _PickFromHeap(Pick):
             if solution is not None:
                 break
         if solution is None:
-            counts.unplanned += 1
+            counts.unplanned += not self._here.is_old
         else:
             self.grasp = solution.data["grasp"]
             counts.picks += 1
-            solution = replace(solution, steps=opened_in_transit(ctx.scene(), solution.steps))
+            steps = opened_in_transit(ctx.scene(), solution.steps)
+            closed = next(k for k, step in enumerate(steps) if isinstance(step, GripUntilForce)) + 1
+            self.lift = steps[closed:]
+            solution = replace(solution, steps=steps[:closed])
         return solution, outcome
 
     def _candidates(self) -> Iterator[list[HeapGrasp]]:
@@ -383,14 +430,16 @@ class _PickFromHeap(Pick):
         full margin around the hand.
 
         Candidates with smaller margins follow if no better candidate is reachable, or if the better ones
-        resemble failed grasps. As a last resort, candidates that hold only the top of a piece follow.
+        resemble failed grasps. As a last resort, candidates that hold only the top of a piece follow. In an
+        old view, only candidates with the full margin count.
         """
         clearing, here = self._clearing, self._here
         s, hand = clearing.settings, hand_of(clearing.ctx.base.model, clearing.gripper)
         failed: list[HeapGrasp] = []
         closest = _closer(s.grasps, 3)
         last = (replace(closest, least_grip=0.0),) if self._any_grasp else ()
-        for how in (s.grasps, _closer(s.grasps, 2), closest, *last):
+        closer = () if here.is_old else (_closer(s.grasps, 2), closest, *last)
+        for how in (s.grasps, *closer):
             grasps = failed + top_down_grasps(
                 here.map, here.labels, here.region.floor, hand, s.force, how, clearing.counts.avoid
             )
@@ -400,7 +449,7 @@ class _PickFromHeap(Pick):
                 yield grasps
             else:
                 failed = grasps
-        if failed:
+        if failed and not here.is_old:
             yield failed
 
     def perform(self, solution: PartialSolution) -> Outcome:

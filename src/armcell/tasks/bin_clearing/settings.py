@@ -9,8 +9,8 @@ from armcell.grasping import PushSettings, TopDownGraspSettings
 from armcell.tasks.settings import Speed
 
 _POSITIVE = (
-    "force", "lift", "above_floor", "resolution", "beside", "gap", "spot_radius", "pile", "max_age",
-    "push_force",
+    "force", "lift", "above_floor", "resolution", "beside", "gap", "spot_radius", "touched", "pile",
+    "max_age", "push_force",
 )  # fmt: skip
 
 
@@ -27,6 +27,7 @@ class BinClearingSettings:
     beside: float = 0.16  # margin of the table around bin and tray that is searched for pieces
     gap: float = 0.012  # between the held object and the surface below when the fingers open
     spot_radius: float = 0.05  # radius of the low area around a release point
+    touched: float = 0.15  # radius around a grasp in which it may have moved pieces since the last image
     pile: float = 0.10  # above the tray's floor; the tray is full if all points are higher
     most_misses: int = 8  # maximum number of failed picks in a row, if few pieces are visible
     tries_per_piece: int = 2  # failed picks in a row per visible piece, if many are visible

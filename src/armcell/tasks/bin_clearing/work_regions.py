@@ -54,6 +54,8 @@ class RegionView:
     map: HeightMap
     labels: NDArray[np.int64]
     cells: NDArray[np.bool_]  # of the map, over the work region
+    seen_from: NDArray[np.float64]  # (3,) [m, world] position of the camera
+    is_old: bool = False  # an arm has touched pieces since the image
 
     @property
     def count(self) -> int:
@@ -62,6 +64,21 @@ class RegionView:
         Touching objects may count as one object, and one object as several.
         """
         return int(self.labels.max()) + 1
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """Return the corners (5, 3) [m, world] of the pyramid through which the camera sees the region."""
+        return corners_of_view(self.region, self.seen_from)
+
+    def without(self, places: Sequence[NDArray[np.float64]], radius: float) -> RegionView:
+        """Return the view without the pieces that a hand may have moved since the image: all cells within
+        `radius` [m] of the given places (x, y) [m, world]. The height map does not change.
+        """
+        labels, at = self.labels.copy(), np.argwhere(self.labels >= 0)
+        xy = self.map.at(at)[:, :2]
+        for place in places:
+            labels[tuple(at[np.linalg.norm(xy - place, axis=1) < radius].T)] = -1
+        return replace(self, labels=_renumbered(labels), is_old=True)
 
 
 def floor_of(scene: PlanningScene, name: str, settings: BinClearingSettings) -> WorkRegion:
@@ -150,7 +167,7 @@ def view_region(
     report = StageReport(f"look {region.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
     image = look()
-    while ctx.await_view(_view_of(region, image)):
+    while ctx.await_view(corners_of_view(region, image.T_world_camera.translation)):
         image = look()
     trouble = check_image(image, s.max_age, ctx.driver.now)
     report.ok, report.error = trouble is None, "" if trouble is None else trouble.message
@@ -171,14 +188,14 @@ def view_region(
     # the fingertips may go 3 mm above the floor, less than the noise of a camera
     bare = inside & (labels < 0) & (seen.heights <= region.floor + s.above_floor)
     level = replace(seen, heights=np.where(bare, region.floor, seen.heights))
-    return RegionView(region, level, labels, inside)
+    return RegionView(region, level, labels, inside, image.T_world_camera.translation)
 
 
-def _view_of(region: WorkRegion, image: CameraImage) -> NDArray[np.float64]:
+def corners_of_view(region: WorkRegion, camera: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the corners (5, 3) [m, world] of the pyramid through which a camera sees a work region."""
     (x0, y0), (x1, y1) = region.rectangle
     ground = [(x, y, region.floor) for x in (x0, x1) for y in (y0, y1)]
-    return np.vstack([image.T_world_camera.translation, ground])
+    return np.vstack([camera, ground])
 
 
 def _without_contained(
@@ -200,8 +217,13 @@ def _without_contained(
         cells = objects == k
         if np.count_nonzero(cells & over) >= np.count_nonzero(cells & ~over):
             found[np.isin(labels, labels[cells & (labels >= 0)])] = -1
-    kept = found >= 0
-    found[kept] = np.unique(found[kept], return_inverse=True)[1]
+    return _renumbered(found)
+
+
+def _renumbered(labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the labels of pieces with the numbers from 0 on, after some pieces have lost all cells."""
+    found, kept = labels.copy(), labels >= 0
+    found[kept] = np.unique(labels[kept], return_inverse=True)[1]
     return found
 
 
