@@ -14,10 +14,12 @@ simulated time.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -124,6 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ask.add_argument("--half", choices=HALVES, help="only objects of this half of the set")
     ask.add_argument("--meshes", type=Path, help="folder of other meshes, at true scale")
     ask.add_argument("--arms", type=int, nargs="+", choices=CELLS, default=[*CELLS], help="number of arms")
+    ask.add_argument("--workers", type=int, default=2)
     ask.add_argument("--keep", type=Path, help="folder for the cells of bins that were not cleared")
     a = ask.parse_args(arguments)
     files = meshes_in(a.meshes) if a.meshes else meshes_of_set(a.half)
@@ -134,26 +137,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(any(missed))
 
 
+def one_bin(files: Sequence[Path], arms: int, count: int, seed: int, keep: Path | None) -> Run:
+    """Draw the objects of a bin, clear it, and print a line."""
+    rng = np.random.default_rng((seed, count))
+    chosen = [files[i] for i in rng.choice(len(files), count, replace=len(files) < count)]
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = keep / f"bin_{arms}_{count}_{seed}" if keep else Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        cell, began = cell_with(chosen, folder, arms), time.process_time()
+        found = run(cell, seed)
+    print(
+        f"{arms} arms, {count} objects, seed {seed}: {found.cleared} cleared in {found.time:.0f} s, "
+        f"{found.picks} picks, {found.contacts} unwanted contacts, "
+        f"{time.process_time() - began:.0f} CPU-s {found.message}",
+        flush=True,
+    )
+    return found
+
+
 def measured(a: argparse.Namespace, files: Sequence[Path], arms: int, count: int) -> bool:
     """Clear the bins with this number of arms and of objects, and print the table; True if a target is
     missed.
     """
-    runs = []
-    for seed in range(a.first, a.first + a.seeds):
-        rng = np.random.default_rng((seed, count))
-        chosen = [files[i] for i in rng.choice(len(files), count, replace=len(files) < count)]
-        with tempfile.TemporaryDirectory() as scratch:
-            folder = a.keep / f"bin_{arms}_{count}_{seed}" if a.keep else Path(scratch)
-            folder.mkdir(parents=True, exist_ok=True)
-            cell, began = cell_with(chosen, folder, arms), time.process_time()
-            found = run(cell, seed)
-        runs.append(found)
-        print(
-            f"{arms} arms, {count} objects, seed {seed}: {found.cleared} cleared in {found.time:.0f} s, "
-            f"{found.picks} picks, {found.contacts} unwanted contacts, "
-            f"{time.process_time() - began:.0f} CPU-s {found.message}",
-            flush=True,
-        )
+    seeds = range(a.first, a.first + a.seeds)
+    with ProcessPoolExecutor(a.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        jobs = [pool.submit(one_bin, files, arms, count, seed, a.keep) for seed in seeds]
+        runs = [job.result() for job in jobs]
     whole = sum(r.cleared == r.objects for r in runs)
     rate = 3600 * sum(r.cleared for r in runs) / sum(r.time for r in runs)
     contacts = Counter(r.contacts > 0 for r in runs)[True]
