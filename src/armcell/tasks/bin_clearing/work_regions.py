@@ -42,6 +42,7 @@ class WorkRegion:
     rectangle: Rectangle
     floor: float  # [m, world z]
     without: tuple[Container, ...] = ()  # containers on the level area
+    container: Container | None = None  # whose floor the level area is; pieces may lean over its walls
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,11 @@ def floor_of(scene: PlanningScene, name: str, settings: BinClearingSettings) -> 
     half = half - wall - settings.resolution
     low, high = frame.translation[:2] - half, frame.translation[:2] + half
     corner = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
-    return WorkRegion(f"in {name}", corner, float(frame.translation[2]))
+    floor = float(frame.translation[2])
+    low, high = item.bounds()
+    top = max(float(item.T_world_object.apply(np.array([c]))[0, 2]) for c in (low, high))
+    container = Container(_outline(item, 2 * settings.resolution), corner, floor, top)
+    return WorkRegion(f"in {name}", corner, floor, container=container)
 
 
 def table_around(
@@ -98,16 +103,9 @@ def table_around(
     low = np.maximum(frame.translation[:2] - half, (x0, y0))
     high = np.minimum(frame.translation[:2] + half, (x1, y1))
     corner = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
-    without = tuple(_container(scene, n, s) for n in others)
+    containers = (floor_of(scene, n, s).container for n in others)
+    without = tuple(c for c in containers if c is not None)
     return WorkRegion(f"beside {name}", corner, float(frame.translation[2]), without)
-
-
-def _container(scene: PlanningScene, name: str, s: BinClearingSettings) -> Container:
-    """Return the outline and the inside of a bin or tray, to search for objects beside it."""
-    item, floor = scene.object(name), floor_of(scene, name, s)
-    low, high = item.bounds()
-    top = max(float(item.T_world_object.apply(np.array([corner]))[0, 2]) for corner in (low, high))
-    return Container(_outline(item, 2 * s.resolution), floor.rectangle, floor.floor, top)
 
 
 def _outline(item: CollisionObject, room: float) -> Rectangle:
@@ -166,6 +164,8 @@ def view_region(
     for other in region.without:
         inside &= ~seen.cells_within(*other.outline)
     labels = label_pieces(seen, inside, region.floor + s.above_floor)
+    if region.container is not None:
+        labels = _with_leaning(seen, inside, labels, region.container, s.above_floor)
     for other in region.without:
         labels = _without_contained(seen, labels, other, s.above_floor)
     # the fingertips may go 3 mm above the floor, less than the noise of a camera
@@ -179,6 +179,21 @@ def _view_of(region: WorkRegion, image: CameraImage) -> NDArray[np.float64]:
     (x0, y0), (x1, y1) = region.rectangle
     ground = [(x, y, region.floor) for x in (x0, x1) for y in (y0, y1)]
     return np.vstack([image.T_world_camera.translation, ground])
+
+
+def _with_leaning(
+    seen: HeightMap, inside: NDArray[np.bool_], labels: NDArray[np.int64], container: Container, above: float
+) -> NDArray[np.int64]:
+    """Return the labels of a container's pieces, extended to the parts of the pieces above and beyond its
+    walls: the hand may grasp these parts.
+    """
+    where = (labels >= 0) | (~inside & (seen.heights > container.top + above))
+    objects = label_pieces(seen, where, -np.inf)
+    found = labels.copy()
+    for k in np.unique(objects[(objects >= 0) & (labels >= 0)]):
+        cells = objects == k
+        found[cells & ~inside] = np.bincount(labels[cells & (labels >= 0)]).argmax()
+    return found
 
 
 def _without_contained(
