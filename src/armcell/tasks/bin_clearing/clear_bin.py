@@ -190,6 +190,7 @@ class _BinClearing:
         self._any_grasp = False
         outcome = pick.run()
         if outcome.ok:
+            add_heap(ctx, here, pick.grasp.piece)
             put, outcome = self._plan_put(pick.grasp, here.region)
             if put is not None:
                 return (put, pick.grasp), None
@@ -306,8 +307,11 @@ class _BinClearing:
         seen = view_region(ctx, self._look_at_tray, tray, s)
         if isinstance(seen, Outcome):
             return None, seen
-        points = lowest_points(seen, s)
-        if not points or points[0][2] > tray.floor + s.pile:
+        full = tray.floor + s.pile
+        points = lowest_points(seen, s, max(grasp.reach, grasp.top - source.floor))
+        if points and points[0][2] > full:
+            points = lowest_points(seen, s)
+        if not points or points[0][2] > full:
             self._put_back(grasp)
             lowest = f"the lowest place is {1000 * (points[0][2] - tray.floor):.0f} mm up" if points else ""
             room = f"{lowest}, at most {1000 * s.pile:.0f} mm are allowed" if points else "it is too small"
@@ -315,7 +319,7 @@ class _BinClearing:
             return None, Outcome(ErrorCode.FAILURE, f"{text} (empty the tray, or a greater `pile`)")
         hang = float(grasp.T_object_tcp.translation[2]) - source.floor + s.gap
         stages: list[Stage] = [
-            ChooseReleasePoint(points, hang, gripper, t.carry, t.lower_distance),
+            ChooseReleasePoint(points, hang, gripper, t.near, t.lower_distance),
             Connect("move to tray", gripper.arm_group, t.carry, target="pre_place"),
             AppendPlannedMotion("lower", "after_lower", "lower"),
             ReleaseAboveTray(gripper, t.release_margin, t.release_settle, s.thinnest),

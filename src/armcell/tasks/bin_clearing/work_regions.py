@@ -220,9 +220,15 @@ def _without_contained(
     return found
 
 
-def add_heap(ctx: TaskContext, seen: RegionView) -> None:
-    """Add the visible objects of a work region to the planning scene, as one point cloud."""
-    points = seen.map.at(np.argwhere(seen.labels >= 0)[::3])
+def add_heap(ctx: TaskContext, seen: RegionView, picked: int = -1) -> None:
+    """Add the visible objects of a work region to the planning scene, as one point cloud.
+
+    Args:
+        picked: number of the piece that the hand has picked since the image; its points move to the floor.
+    """
+    cells = np.argwhere(seen.labels >= 0)[::3]
+    points = seen.map.at(cells)
+    points[seen.labels[cells[:, 0], cells[:, 1]] == picked, 2] = seen.region.floor
     cloud = CollisionObject.single(HEAP, PointCloud(points, 2 * seen.map.resolution))
 
     def remembered(scene: PlanningScene) -> PlanningScene:
@@ -233,12 +239,16 @@ def add_heap(ctx: TaskContext, seen: RegionView) -> None:
 
 
 def lowest_points(
-    tray: RegionView, s: BinClearingSettings, count: int = 12
+    tray: RegionView, s: BinClearingSettings, extent: float = 0.0, count: int = 12
 ) -> list[tuple[float, float, float]]:
     """Return points (x, y, highest z nearby) over the tray at which
     bin clearing may release an object, lowest first.
 
     Points of equal height are sorted by their distance from objects, farthest first.
+
+    Args:
+        extent: [m] of the object from the hand's center, sideways and upward. The object keeps this distance
+            from the walls if the tray is large enough: otherwise it may fall over a wall.
     """
     from scipy.ndimage import distance_transform_edt, maximum_filter
 
@@ -249,7 +259,8 @@ def lowest_points(
     heights = np.where(inside, map.heights, tray.region.floor)
     under = maximum_filter(heights, size=size)
     room = np.asarray(distance_transform_edt(tray.labels < 0)) * map.resolution
-    middle = map.cells_within((x0 + r, y0 + r), (x1 - r, y1 - r))
+    margin = max(r, min(extent, (x1 - x0) / 4, (y1 - y0) / 4))
+    middle = map.cells_within((x0 + margin, y0 + margin), (x1 - margin, y1 - margin))
     cells = np.argwhere(middle)
     value = under[middle].round(2) - 0.01 * np.minimum(room[middle], 0.1)
     found: list[tuple[float, float, float]] = []
