@@ -16,7 +16,12 @@ from armcell.cell.validation import validated
 from armcell.core import ErrorCode, InputError, UnknownNameError
 from armcell.scene import library_object
 from armcell.tasks.bin_clearing import BinClearingSettings, clear_bin
-from armcell.tasks.bin_clearing.work_regions import floor_of, table_around, view_region
+from armcell.tasks.bin_clearing.work_regions import (
+    floor_of,
+    lowest_points,
+    table_around,
+    view_region,
+)
 
 CALL = {"into": "tray", "table": "work_table", "camera": "above_bin", "tray_camera": "above_tray"}
 
@@ -323,6 +328,33 @@ def test_an_object_that_leans_over_the_wall_of_the_tray_is_in_it_if_most_of_it_i
         region = table_around(live.scene(), "tray", "work_table", ("bin", "tray"), s)
         seen = view_region(live.ctx, lambda: live.cameras["above_tray"].image(rgb=False), region, s)
         assert seen.count == beside
+
+
+@pytest.mark.slow
+def test_an_object_that_leans_over_the_wall_of_the_bin_is_one_piece_on_both_sides_of_the_wall():
+    data = with_bar((0.70, -0.32, 0.2425)).spec.model_dump(exclude_unset=True)
+    bar = {"box": (0.03, 0.20, 0.02), "movable": False}
+    data["objects"]["leaning"] = {**bar, "pose": {"xyz": (0.70, -0.47, 0.262), "rpy": (-0.16, 0.0, 0.0)}}
+    data["objects"]["box_1"]["pose"] = (0.70, 0.32, 0.2425)
+    with Cell("lean", whole().file, validated(data, whole().file)).connect("sim", seed=0) as live:
+        s = BinClearingSettings()
+        region = floor_of(live.scene(), "bin", s)
+        seen = view_region(live.ctx, lambda: live.cameras["above_bin"].image(rgb=False), region, s)
+        assert seen.count == 1
+        beyond = seen.map.at(np.argwhere(seen.labels == 0))
+        assert beyond[:, 1].min() < -0.562 and beyond[:, 1].max() > -0.40
+
+
+@pytest.mark.slow
+def test_a_large_object_is_released_farther_from_the_walls_of_the_tray():
+    with two_things().connect("sim", seed=0) as live:
+        s = BinClearingSettings()
+        region = floor_of(live.scene(), "tray", s)
+        seen = view_region(live.ctx, lambda: live.cameras["above_tray"].image(rgb=False), region, s)
+        for extent, margin in ((0.0, s.spot_radius), (0.08, 0.08), (0.5, 0.1)):
+            at = np.array(lowest_points(seen, s, extent))[:, :2]
+            walls = np.array(region.rectangle)
+            assert min((at - walls[0]).min(), (walls[1] - at).min()) > margin - 2 * s.resolution
 
 
 @pytest.mark.slow

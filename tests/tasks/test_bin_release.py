@@ -118,3 +118,11 @@ def test_after_a_failed_grasp_fingers_that_have_closed_open_a_little(reading, op
     )
     clearing.retreat(grasp)
     assert opened == ([] if opens_to is None else [pytest.approx(opens_to)])
+
+
+def test_fingers_inside_a_channel_close_half_way_and_have_released_it():
+    """A finger inside a channel of sheet metal opens only until it meets the other side of the channel."""
+    outcome, fingers, _ = drop(HELD + 0.004)
+    assert outcome.ok
+    assert fingers.target == pytest.approx(HELD + 0.002, abs=1e-4)
+    assert fingers.now < TaskSettings().gripper_timeout

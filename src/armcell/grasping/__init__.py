@@ -9,6 +9,7 @@ from armcell.grasping.candidates import (
     surface_coverage,
     turned_grasp,
 )
+from armcell.grasping.drags import DragSettings, HeapDrag, drags_off_walls
 from armcell.grasping.grasp import (
     LIFT_ACCELERATION,
     Grasp,
@@ -54,8 +55,10 @@ __all__ = [
     "LIFT_ACCELERATION",
     "POSE_ERROR",
     "RELEASE_GAP",
+    "DragSettings",
     "Grasp",
     "Hand",
+    "HeapDrag",
     "HeapGrasp",
     "HeapPush",
     "Noise",
@@ -71,6 +74,7 @@ __all__ = [
     "approach_depth",
     "cloud_surface",
     "contact_wrenches",
+    "drags_off_walls",
     "generator_for",
     "generators",
     "grasp_candidates",

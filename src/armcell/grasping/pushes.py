@@ -40,7 +40,7 @@ class PushSettings:
     before: float = 0.010  # between the fingers and the piece at the start
     room: float = 0.004  # free space on all sides of the fingers
     clearance: float = 0.005  # of the fingers above the floor
-    friction: float = 0.5  # of the piece on the fingers
+    friction: float = 0.5  # of the piece on the fingers and on the walls
     least_gain: float = 0.002  # minimum gain of the mean distance from walls and other pieces
     kept: int = 20  # maximum number of candidates
 
@@ -105,7 +105,7 @@ def pushes_off_walls(
     found: list[HeapPush] = []
     for k in range(1, count + 1):
         piece = groups == k
-        outline, inward, middle, radius = _outline(seen, piece)
+        outline, inward, middle, radius = outline_of(seen, piece)
         if len(outline) < 3:
             continue
         # near the floor, but the palm stays above the piece
@@ -116,7 +116,7 @@ def pushes_off_walls(
             np.asarray(distance_transform_edt((others <= floor + 0.5 * s.clearance) & where))
             * seen.resolution
         )
-        away = _away(seen, room, outline)
+        away = away_from_obstacles(seen, room, outline)
         starts, alongs = _starts(outline, wide, s)
         free = alongs @ away > TOWARD
         starts, alongs = starts[free], alongs[free]
@@ -141,7 +141,7 @@ def pushes_off_walls(
     return found[: s.kept]
 
 
-def _outline(seen: HeightMap, piece: NDArray[np.bool_]) -> tuple[Array, Array, Array, float]:
+def outline_of(seen: HeightMap, piece: NDArray[np.bool_]) -> tuple[Array, Array, Array, float]:
     """Return a piece's outline (k, 2) [m, world], its inward normals (k, 2), its center (2,) [m, world] and
     the radius [m] of its friction torque on the floor, for a uniform pressure.
     """
@@ -161,7 +161,7 @@ def _outline(seen: HeightMap, piece: NDArray[np.bool_]) -> tuple[Array, Array, A
     return seen.at(edge)[:, :2], inward / size, middle, radius
 
 
-def _away(seen: HeightMap, room: Array, outline: Array) -> Array:
+def away_from_obstacles(seen: HeightMap, room: Array, outline: Array) -> Array:
     """Return the mean direction (2,) that leads away from the obstacles at a piece's outline, to choose a
     push. If the outline touches no obstacle, return zeros.
     """

@@ -21,6 +21,7 @@ from armcell.grasping.hand import Hand
 Array = NDArray[np.float64]
 
 FLAT = 0.3  # height between the fingers per width: the fingers squeeze flatter pieces out
+WIDE = 0.4  # score lost by a grasp of the hand's full width: two pieces side by side, which burst out
 MOVED = 0.10  # [m] by which a failed grasp may move the piece
 SAME_WIDTH = 0.007  # [m] difference of the widths that a camera measures on the same sides of a piece
 OTHER_PIECE, OTHER_KIND = 0.25, 0.5  # scores lost by grasps of a missed piece, and by similar ones
@@ -54,7 +55,7 @@ class HeapGrasp(Grasp):
 
     piece: int = -1
     tip: float = 0.0  # [m, world z] height of the fingertips
-    top: float = 0.0  # [m, world z] top of the piece between the fingers
+    top: float = 0.0  # [m, world z] highest point of the piece, which may lean on a wall
     reach: float = 0.05  # [m] extent of the piece from the hand's center, seen from above
 
 
@@ -103,7 +104,7 @@ def top_down_grasps(
     rows = rows[firm & (rows[:, 7] <= s.steepest) & (rows[:, 6] >= s.least_touch)]
     if not len(rows):
         return []
-    middles, radii = _pieces(seen, labels)
+    middles, radii, tops = _pieces(seen, labels)
     cell = cells[rows[:, 0].astype(int)]
     piece = labels[cell[:, 0], cell[:, 1]]
     turn = turns[rows[:, 1].astype(int)]
@@ -115,6 +116,7 @@ def top_down_grasps(
         * (1 - (rows[:, 7] / s.steepest) ** 2)
         * (0.3 + 0.7 * np.minimum(rows[:, 8], 0.03) / 0.03)
         * np.minimum(rows[:, 8] / (FLAT * rows[:, 4]), 1.0)
+        * (1 - WIDE * (rows[:, 4] / gripper.max_width) ** 2)
         / (1 + (lever / 0.03) ** 2)
         + 2.0 * (rows[:, 9] - floor)  # topmost pieces first
     )
@@ -136,7 +138,7 @@ def top_down_grasps(
         found.append(
             HeapGrasp(
                 f"{name} ({len(found)})", T, float(rows[i, 4]), float(rows[i, 5]), force, float(score[i]),
-                piece=k, tip=float(rows[i, 2]), top=float(rows[i, 9]), reach=float(lever[i] + radii[k]),
+                piece=k, tip=float(rows[i, 2]), top=float(tops[k]), reach=float(lever[i] + radii[k]),
             )
         )  # fmt: skip
         if len(found) == s.kept:
@@ -171,18 +173,19 @@ def _only_pieces(
     return float(np.mean(labels[i, j][standing] >= 0)) > 0.9 if standing.any() else False
 
 
-def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the centers (k, 2) [m, world] and radii (k,) [m] of the pieces in a heap, seen from above, for
-    top-down grasps.
+def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Return the centers (k, 2) [m, world] and radii (k,) [m] of the pieces in a heap, seen from above, and
+    their highest points (k,) [m, world z], for top-down grasps.
     """
     index = np.argwhere(labels >= 0)
     number = labels[index[:, 0], index[:, 1]]
     xy, count = seen.at(index)[:, :2], int(number.max()) + 1
     size = np.maximum(np.bincount(number, minlength=count), 1)
     middles = np.column_stack([np.bincount(number, xy[:, k], count) / size for k in range(2)])
-    radii = np.zeros(count)
+    radii, tops = np.zeros(count), np.full(count, -np.inf)
     np.maximum.at(radii, number, np.linalg.norm(xy - middles[number], axis=1))
-    return middles, radii
+    np.maximum.at(tops, number, seen.heights[index[:, 0], index[:, 1]])
+    return middles, radii, tops
 
 
 def _down(at: Array, z: float, turn: float) -> SE3:

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from armcell.core import ErrorCode, InputError, NamedGoal, Outcome
 from armcell.grasping import (
     Grasp,
+    HeapDrag,
     HeapGrasp,
     HeapPush,
     TopDownGraspSettings,
+    drags_off_walls,
     hand_of,
     pushes_off_walls,
     top_down_grasps,
@@ -224,6 +226,7 @@ class _BinClearing:
         pick = _PickFromHeap(self, here, self._any_grasp)
         outcome = pick.run()
         if outcome.ok:
+            add_heap(self.ctx, here, pick.grasp.piece)
             self.counts.touched.append(pick.grasp.T_object_tcp.translation[:2])
         elif outcome.code is not ErrorCode.PLANNING_FAILED:
             self.counts.last_view = None
@@ -250,30 +253,46 @@ class _BinClearing:
         return outcome if outcome.code in _FINAL else None
 
     def _push(self, here: RegionView) -> Outcome:
-        """Let `clear_bin` push a piece away from the walls if the hand does not fit around it. Return a
-        failure if no such push is found.
+        """Let `clear_bin` push or drag a piece away from the walls if the hand does not fit around it: the
+        motion with the best prediction. Return a failure if there is none.
         """
-        ctx, gripper, counts, t = self.ctx, self.gripper, self.counts, self.ctx.settings
-        hand = hand_of(ctx.base.model, gripper)
-        pushes = pushes_off_walls(
-            here.map, here.labels, here.cells, here.region.floor, hand, self.settings.pushes, counts.pushed
-        )
-        if not pushes:
-            return Outcome(
-                ErrorCode.PLANNING_FAILED, f"no push moves a piece {here.region.name} off its wall"
-            )
+        hand, s = hand_of(self.ctx.base.model, self.gripper), self.settings
+        seen = here.map, here.labels, here.cells, here.region.floor, hand
+        pushes = pushes_off_walls(*seen, s.pushes, self.counts.pushed)
+        drags = drags_off_walls(*seen, s.drags, self.counts.pushed)
+        outcome = Outcome(ErrorCode.PLANNING_FAILED, f"no push moves a piece {here.region.name} off its wall")
+        kinds: list[Sequence[HeapPush] | Sequence[HeapDrag]] = [pushes, drags]
+        for motions in sorted(filter(None, kinds), key=lambda motions: -motions[0].score):
+            outcome = self._perform_push(motions, here)
+            if outcome.code is not ErrorCode.PLANNING_FAILED:
+                break
+        return outcome
+
+    def _perform_push(self, pushes: Sequence[HeapPush] | Sequence[HeapDrag], here: RegionView) -> Outcome:
+        """Let `clear_bin` perform the first of the pushes or drags that the arm can reach."""
+        ctx, gripper, counts, s, t = self.ctx, self.gripper, self.counts, self.settings, self.ctx.settings
+        press = PushPiece(gripper, s.press, s.press_force, "press")
+        begin = press if isinstance(pushes[0], HeapDrag) else PushPiece(gripper, s.push, s.push_force)
         stages = grasp_stages(
-            ChooseFromHeap(pushes, gripper, t.near, t.approach_distance), gripper, t,
-            PushPiece(gripper, self.settings.push, self.settings.push_force), name="move to push",
-        )  # fmt: skip
+            ChooseFromHeap(pushes, gripper, t.near, t.approach_distance),
+            gripper,
+            t,
+            begin,
+            name="move to push",
+        )
         solution, outcome = plan_stages(ctx, stages, f"push {here.region.name}")
         if solution is None:
             return outcome
-        push: HeapPush = solution.data["grasp"]
+        push: HeapPush | HeapDrag = solution.data["grasp"]
         counts.pushes += 1
         counts.last_view = None
         counts.pushed.append((*push.T_object_tcp.translation[:2].tolist(), push.angle))
         outcome = perform_all(ctx, opened_in_transit(ctx.scene(), solution.steps))
+        if outcome.ok and isinstance(push, HeapDrag):
+            pull = PushPiece(gripper, s.push, s.push_force, "drag", push.pull)
+            solution, _ = plan_stages(ctx, [pull], f"drag {here.region.name}")
+            if solution is not None:
+                outcome = perform_all(ctx, solution.steps)
         self.retreat(push)
         return outcome
 
@@ -330,8 +349,11 @@ class _BinClearing:
         seen = view_region(ctx, self._look_at_tray, tray, s)
         if isinstance(seen, Outcome):
             return None, seen
-        points = lowest_points(seen, s)
-        if not points or points[0][2] > tray.floor + s.pile:
+        full = tray.floor + s.pile
+        points = lowest_points(seen, s, max(grasp.reach, grasp.top - source.floor))
+        if points and points[0][2] > full:
+            points = lowest_points(seen, s)
+        if not points or points[0][2] > full:
             self._put_back(grasp)
             lowest = f"the lowest place is {1000 * (points[0][2] - tray.floor):.0f} mm up" if points else ""
             room = f"{lowest}, at most {1000 * s.pile:.0f} mm are allowed" if points else "it is too small"
@@ -344,7 +366,7 @@ class _BinClearing:
             AppendPlannedMotion("lower", "after_lower", "lower"),
             ReleaseAboveTray(gripper, t.release_margin, t.release_settle, s.thinnest),
             MoveStraight(
-                "retreat", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, t.retreat_distance)
+                "retreat", gripper.arm_group, gripper.tcp_link, t.free, (0.0, 0.0, t.retreat_distance)
             ),
         ]
         solution, outcome = plan_stages(ctx, stages, f"put {tray.name}")
@@ -407,7 +429,7 @@ class _PickFromHeap(Pick):
             stages = grasp_stages(
                 ChooseFromHeap(grasps, gripper, t.near, t.approach_distance), gripper, t,
                 CloseOnHeap(gripper, self._here.region.floor, t.grasp_settle, s.thinnest),
-                MoveStraight("lift", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, s.lift),
+                MoveStraight("lift", gripper.arm_group, gripper.tcp_link, t.carry, (0.0, 0.0, s.lift),
                              allow=touching),
                 RunSteps("check grasp", (CheckObjectInFingers(gripper, s.thinnest),)),
             )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Stages of bin clearing that push a piece off a wall with the closed hand."""
+"""Stages of bin clearing that push or drag a piece off a wall."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from functools import partial
 
 from armcell.core import ErrorCode, JointTrajectory, Outcome
 from armcell.drivers import Capability
-from armcell.grasping import HeapPush
 from armcell.model import Gripper
 from armcell.tasks.approach import ContactMonitor
 from armcell.tasks.bin_clearing.stages import HEAP
@@ -22,21 +21,26 @@ from armcell.tasks.steps import DONE, DropMonitor, Motion
 @stage_types.register("push_piece")
 @dataclass(frozen=True, eq=False)
 class PushPiece:
-    """Stage of bin clearing that pushes a piece of the heap in a straight line with the closed hand.
+    """Stage of bin clearing that pushes a piece of the heap in a straight line with the hand.
 
-    Only the hand may touch the heap; the motion touches nothing else.
+    Only the hand may touch the heap; the motion touches nothing else. A drag consists of two such motions:
+    one fingertip presses on the piece from above, then pulls it.
     """
 
     gripper: Gripper
     speed: Speed
     most_force: float  # [N] on the hand; the push ends where the piece resists with more
     name: str = "push"
-    requires = ("grasp",)
+    offset: tuple[float, float, float] | None = None  # [m, world] of the motion; None: the chosen push's
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        return ("grasp",) if self.offset is None else ()
 
     def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
-        push: HeapPush = solution.data["grasp"]
+        offset = solution.data["grasp"].offset if self.offset is None else self.offset
         scene = with_contacts(solution.scene, ((HEAP, self.gripper.hand_links),))
-        target = shifted(scene.frame_pose(self.gripper.tcp_link), push.offset, in_own_frame=False)
+        target = shifted(scene.frame_pose(self.gripper.tcp_link), offset, in_own_frame=False)
         result = plan_straight(scene, self.gripper.arm_group, self.gripper.tcp_link, target, self.speed)
         kind = partial(PushMotion, gripper=self.gripper, most_force=self.most_force)
         yield from with_motion(solution, planning, self.name, result, planned_in=scene, kind=kind)

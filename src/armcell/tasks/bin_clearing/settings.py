@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from armcell.core.checks import checked, require
-from armcell.grasping import PushSettings, TopDownGraspSettings
+from armcell.grasping import DragSettings, PushSettings, TopDownGraspSettings
 from armcell.tasks.settings import Speed
 
 _POSITIVE = (
     "force", "lift", "above_floor", "resolution", "beside", "gap", "spot_radius", "touched", "pile",
-    "max_age", "push_force",
+    "max_age", "push_force", "press_force",
 )  # fmt: skip
 
 
@@ -39,6 +39,9 @@ class BinClearingSettings:
     push: Speed = Speed(0.15, 0.2)  # speed of pushes off a wall
     push_force: float = 40.0  # [N] on the hand, at which a push ends
     pushes: PushSettings = PushSettings()
+    press: Speed = Speed(0.03, 0.1)  # speed at which a fingertip presses on a piece before a drag
+    press_force: float = 15.0  # [N] at which the press ends
+    drags: DragSettings = DragSettings()
 
     def __post_init__(self) -> None:
         for name in _POSITIVE:

@@ -29,6 +29,8 @@ from armcell.tasks.task import holding_condition
 HEAP = "heap"
 """Name of the camera's points in the bin, in the planning scene."""
 FREE = 0.008  # [m] opening beyond the held width at which an object has left the fingers
+LOOSE = 0.002  # [m] opening beyond the held width at which no finger presses on an object any more
+WEDGED = 0.3  # [s] without a motion after which the fingers are stuck inside an object
 MOVES = 3e-4  # [m] by which fingers that move open within `STOPPED`
 STOPPED = 0.1  # [s]
 WIDEST = 0.09  # [m] largest assumed half length of a held object
@@ -237,7 +239,8 @@ class CheckObjectInFingers:
 class Drop:
     """Step of bin clearing that opens the fingers and removes the dropped object from the scene.
 
-    A wall or piece that stops the fingers after the object is free does no harm.
+    A wall or piece that stops the fingers after the object is free does no harm. A finger inside a channel of
+    sheet metal meets its other side: then the fingers close half of the way that they have opened.
     """
 
     grip: CommandGripper
@@ -249,7 +252,7 @@ class Drop:
 
     def _open(self, ctx: TaskContext) -> Outcome:
         driver, name = ctx.driver, self.grip.gripper.name
-        free = driver.gripper(name).width + FREE
+        held = driver.gripper(name).width
         self.grip.start(ctx)
         end = driver.now + ctx.settings.gripper_timeout
         widest, since = 0.0, driver.now
@@ -258,7 +261,10 @@ class Drop:
                 return Outcome(ErrorCode.PREEMPTED, "cancelled")
             if width > widest + MOVES:
                 widest, since = width, driver.now
-            if width >= free and driver.now - since > STOPPED:
+            if width >= held + FREE and driver.now - since > STOPPED:
+                break
+            if width >= held + LOOSE and driver.now - since > WEDGED:
+                driver.command_gripper(name, (held + width) / 2, self.grip.force)
                 break
             if driver.now >= end:
                 text = f"gripper stands at {1000 * width:.1f} mm, wanted {1000 * self.grip.width:.1f} mm"

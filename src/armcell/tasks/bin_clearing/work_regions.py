@@ -42,6 +42,7 @@ class WorkRegion:
     rectangle: Rectangle
     floor: float  # [m, world z]
     without: tuple[Container, ...] = ()  # containers on the level area
+    container: Container | None = None  # whose floor the level area is; pieces may lean over its walls
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,11 @@ def floor_of(scene: PlanningScene, name: str, settings: BinClearingSettings) -> 
     half = half - wall - settings.resolution
     low, high = frame.translation[:2] - half, frame.translation[:2] + half
     corner = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
-    return WorkRegion(f"in {name}", corner, float(frame.translation[2]))
+    floor = float(frame.translation[2])
+    low, high = item.bounds()
+    top = max(float(item.T_world_object.apply(np.array([c]))[0, 2]) for c in (low, high))
+    container = Container(_outline(item, 2 * settings.resolution), corner, floor, top)
+    return WorkRegion(f"in {name}", corner, floor, container=container)
 
 
 def table_around(
@@ -115,16 +120,9 @@ def table_around(
     low = np.maximum(frame.translation[:2] - half, (x0, y0))
     high = np.minimum(frame.translation[:2] + half, (x1, y1))
     corner = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
-    without = tuple(_container(scene, n, s) for n in others)
+    containers = (floor_of(scene, n, s).container for n in others)
+    without = tuple(c for c in containers if c is not None)
     return WorkRegion(f"beside {name}", corner, float(frame.translation[2]), without)
-
-
-def _container(scene: PlanningScene, name: str, s: BinClearingSettings) -> Container:
-    """Return the outline and the inside of a bin or tray, to search for objects beside it."""
-    item, floor = scene.object(name), floor_of(scene, name, s)
-    low, high = item.bounds()
-    top = max(float(item.T_world_object.apply(np.array([corner]))[0, 2]) for corner in (low, high))
-    return Container(_outline(item, 2 * s.resolution), floor.rectangle, floor.floor, top)
 
 
 def _outline(item: CollisionObject, room: float) -> Rectangle:
@@ -183,6 +181,8 @@ def view_region(
     for other in region.without:
         inside &= ~seen.cells_within(*other.outline)
     labels = label_pieces(seen, inside, region.floor + s.above_floor)
+    if region.container is not None:
+        labels = _with_leaning(seen, inside, labels, region.container, s.above_floor)
     for other in region.without:
         labels = _without_contained(seen, labels, other, s.above_floor)
     # the fingertips may go 3 mm above the floor, less than the noise of a camera
@@ -196,6 +196,21 @@ def corners_of_view(region: WorkRegion, camera: NDArray[np.float64]) -> NDArray[
     (x0, y0), (x1, y1) = region.rectangle
     ground = [(x, y, region.floor) for x in (x0, x1) for y in (y0, y1)]
     return np.vstack([camera, ground])
+
+
+def _with_leaning(
+    seen: HeightMap, inside: NDArray[np.bool_], labels: NDArray[np.int64], container: Container, above: float
+) -> NDArray[np.int64]:
+    """Return the labels of a container's pieces, extended to the parts of the pieces above and beyond its
+    walls: the hand may grasp these parts.
+    """
+    where = (labels >= 0) | (~inside & (seen.heights > container.top + above))
+    objects = label_pieces(seen, where, -np.inf)
+    found = labels.copy()
+    for k in np.unique(objects[(objects >= 0) & (labels >= 0)]):
+        cells = objects == k
+        found[cells & ~inside] = np.bincount(labels[cells & (labels >= 0)]).argmax()
+    return found
 
 
 def _without_contained(
@@ -227,9 +242,15 @@ def _renumbered(labels: NDArray[np.int64]) -> NDArray[np.int64]:
     return found
 
 
-def add_heap(ctx: TaskContext, seen: RegionView) -> None:
-    """Add the visible objects of a work region to the planning scene, as one point cloud."""
-    points = seen.map.at(np.argwhere(seen.labels >= 0)[::3])
+def add_heap(ctx: TaskContext, seen: RegionView, picked: int = -1) -> None:
+    """Add the visible objects of a work region to the planning scene, as one point cloud.
+
+    Args:
+        picked: number of the piece that the hand has picked since the image; its points move to the floor.
+    """
+    cells = np.argwhere(seen.labels >= 0)[::3]
+    points = seen.map.at(cells)
+    points[seen.labels[cells[:, 0], cells[:, 1]] == picked, 2] = seen.region.floor
     cloud = CollisionObject.single(HEAP, PointCloud(points, 2 * seen.map.resolution))
 
     def remembered(scene: PlanningScene) -> PlanningScene:
@@ -240,12 +261,16 @@ def add_heap(ctx: TaskContext, seen: RegionView) -> None:
 
 
 def lowest_points(
-    tray: RegionView, s: BinClearingSettings, count: int = 12
+    tray: RegionView, s: BinClearingSettings, extent: float = 0.0, count: int = 12
 ) -> list[tuple[float, float, float]]:
     """Return points (x, y, highest z nearby) over the tray at which
     bin clearing may release an object, lowest first.
 
     Points of equal height are sorted by their distance from objects, farthest first.
+
+    Args:
+        extent: [m] of the object from the hand's center, sideways and upward. The object keeps this distance
+            from the walls if the tray is large enough: otherwise it may fall over a wall.
     """
     from scipy.ndimage import distance_transform_edt, maximum_filter
 
@@ -256,7 +281,8 @@ def lowest_points(
     heights = np.where(inside, map.heights, tray.region.floor)
     under = maximum_filter(heights, size=size)
     room = np.asarray(distance_transform_edt(tray.labels < 0)) * map.resolution
-    middle = map.cells_within((x0 + r, y0 + r), (x1 - r, y1 - r))
+    margin = max(r, min(extent, (x1 - x0) / 4, (y1 - y0) / 4))
+    middle = map.cells_within((x0 + margin, y0 + margin), (x1 - margin, y1 - margin))
     cells = np.argwhere(middle)
     value = under[middle].round(2) - 0.01 * np.minimum(room[middle], 0.1)
     found: list[tuple[float, float, float]] = []
