@@ -149,8 +149,12 @@ class _BinClearing:
             with self.ctx.reserve(self.bin):
                 put, end = self._pick()
             if put is not None:
+                width = self.ctx.driver.gripper(self.gripper.name).width
                 outcome = self._put(*put)
-                if outcome.ok:
+                if outcome.ok and width <= self.settings.thinnest:
+                    counts.in_a_row += 1  # perhaps nothing was between the fingers
+                    counts.avoid.append(put[1])
+                elif outcome.ok:
                     counts.in_a_row, counts.avoid, counts.pushed = 0, counts.avoid[-6:], []
                 else:
                     end = self._failed(outcome)
@@ -266,7 +270,7 @@ class _BinClearing:
         detach_held(ctx, gripper)
         reading = ctx.driver.gripper(gripper.name)
         width = min(max(reading.width, 0.0) + t.release_margin, grasp.opening)
-        closed = holds(reading, s.thinnest) or reading.width <= s.thinnest
+        closed = holds(reading) or reading.width <= s.thinnest
         if isinstance(grasp, HeapGrasp) and closed:
             CommandGripper("open", gripper, width, gripper.max_force, t.release_settle).perform(ctx)
         touching = ((HEAP, gripper.hand_links), (self.bin, gripper.hand_links))
@@ -322,7 +326,7 @@ class _BinClearing:
             ChooseReleasePoint(points, hang, gripper, t.near, t.lower_distance),
             Connect("move to tray", gripper.arm_group, t.carry, target="pre_place"),
             AppendPlannedMotion("lower", "after_lower", "lower"),
-            ReleaseAboveTray(gripper, t.release_margin, t.release_settle, s.thinnest),
+            ReleaseAboveTray(gripper, t.release_margin, t.release_settle),
             MoveStraight(
                 "retreat", gripper.arm_group, gripper.tcp_link, t.free, (0.0, 0.0, t.retreat_distance)
             ),
@@ -343,9 +347,9 @@ class _BinClearing:
 
     def _let_go(self, grasp: HeapGrasp, outcome: Outcome) -> None:
         """Let `clear_bin` release an object that did not get into the tray. A canceled task keeps it."""
-        ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
+        ctx, gripper, t = self.ctx, self.gripper, self.ctx.settings
         if outcome.code is not ErrorCode.PREEMPTED:
-            self.counts.dropped += not holds(ctx.driver.gripper(gripper.name), s.thinnest)
+            self.counts.dropped += not holds(ctx.driver.gripper(gripper.name))
             detach_held(ctx, gripper)
             CommandGripper("open", gripper, grasp.opening, gripper.max_force, t.release_settle).perform(ctx)
             self._has_failed = True
@@ -387,7 +391,7 @@ class _PickFromHeap(Pick):
                 CloseOnHeap(gripper, self._here.region.floor, t.grasp_settle, s.thinnest),
                 MoveStraight("lift", gripper.arm_group, gripper.tcp_link, t.carry, (0.0, 0.0, s.lift),
                              allow=touching),
-                RunSteps("check grasp", (CheckObjectInFingers(gripper, s.thinnest),)),
+                RunSteps("check grasp", (CheckObjectInFingers(gripper),)),
             )  # fmt: skip
             solution, outcome = plan_stages(ctx, stages, self.label)
             if solution is not None:
