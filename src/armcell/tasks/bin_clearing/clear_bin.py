@@ -28,6 +28,7 @@ from armcell.tasks.bin_clearing.stages import (
     ChooseFromHeap,
     ChooseReleasePoint,
     CloseOnHeap,
+    Drop,
     ReleaseAboveTray,
     detach_held,
     held_object,
@@ -337,13 +338,31 @@ class _BinClearing:
         return solution, outcome
 
     def _put(self, solution: PartialSolution, grasp: HeapGrasp) -> Outcome:
-        """Let `clear_bin` perform the planned release over the tray."""
-        outcome = perform_all(self.ctx, solution.steps)
+        """Let `clear_bin` perform the planned release over the tray.
+
+        An object that hangs lower than assumed touches the tray first and stops the arm: the hand releases it
+        there.
+        """
+        ctx, gripper, t = self.ctx, self.gripper, self.ctx.settings
+        outcome = perform_all(ctx, solution.steps)
+        if outcome.code is ErrorCode.CONTROL_FAILED and self._is_over_tray():
+            width = min(ctx.driver.gripper(gripper.name).width + t.release_margin, gripper.max_width)
+            grip = CommandGripper("open", gripper, width, gripper.max_force, t.release_settle)
+            outcome = Drop(grip).perform(ctx)
+            self._try_straight("retreat", t.retreat_distance, ((HEAP, gripper.hand_links),))
         if outcome.ok:
             self.counts.put += 1
         else:
             self._let_go(grasp, outcome)
         return outcome
+
+    def _is_over_tray(self) -> bool:
+        """Return whether the hand of `clear_bin` holds an object over the tray."""
+        scene, gripper = self.ctx.scene(), self.gripper
+        at = scene.frame_pose(gripper.tcp_link).translation[:2].tolist()
+        low, high = self._tray.rectangle
+        over = all(a < x < b for a, x, b in zip(low, at, high, strict=True))
+        return over and held_object(gripper) in scene.attached
 
     def _let_go(self, grasp: HeapGrasp, outcome: Outcome) -> None:
         """Let `clear_bin` release an object that did not get into the tray. A canceled task keeps it."""
