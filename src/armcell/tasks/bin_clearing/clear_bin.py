@@ -70,6 +70,7 @@ class BinClearingCounts:
     in_a_row: int = 0  # failures since the last success
     avoid: list[HeapGrasp] = field(default_factory=list)  # failed grasps
     pushed: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], direction [rad]
+    dragged: list[tuple[float, float]] = field(default_factory=list)  # x, y [m] of the contact
     left: dict[str, str] = field(default_factory=dict)  # regions set aside, with the number of pieces in each
 
     def as_dict(self) -> dict[str, Any]:
@@ -156,7 +157,8 @@ class _BinClearing:
                     counts.in_a_row += 1  # perhaps nothing was between the fingers
                     counts.avoid.append(put[1])
                 elif outcome.ok:
-                    counts.in_a_row, counts.avoid, counts.pushed = 0, counts.avoid[-6:], []
+                    counts.in_a_row, counts.avoid = 0, counts.avoid[-6:]
+                    counts.pushed, counts.dragged = [], []
                 else:
                     end = self._failed(outcome)
             if self._has_failed:  # not before other arms may use the bin
@@ -223,7 +225,7 @@ class _BinClearing:
         hand, s = hand_of(self.ctx.base.model, self.gripper), self.settings
         seen = here.map, here.labels, here.cells, here.region.floor, hand
         pushes = pushes_off_walls(*seen, s.pushes, self.counts.pushed)
-        drags = drags_off_walls(*seen, s.drags, self.counts.pushed)
+        drags = drags_off_walls(*seen, s.drags, self.counts.dragged)
         outcome = Outcome(ErrorCode.PLANNING_FAILED, f"no push moves a piece {here.region.name} off its wall")
         kinds: list[Sequence[HeapPush] | Sequence[HeapDrag]] = [pushes, drags]
         for motions in sorted(filter(None, kinds), key=lambda motions: -motions[0].score):
@@ -251,6 +253,8 @@ class _BinClearing:
         counts.pushes += 1
         counts.pushed.append((*push.T_object_tcp.translation[:2].tolist(), push.angle))
         outcome = perform_all(ctx, opened_in_transit(ctx.scene(), solution.steps))
+        if isinstance(push, HeapDrag):
+            counts.dragged.append(push.contact)
         if outcome.ok and isinstance(push, HeapDrag):
             pull = PushPiece(gripper, s.push, s.push_force, "drag", push.pull)
             solution, _ = plan_stages(ctx, [pull], f"drag {here.region.name}")
