@@ -330,6 +330,28 @@ def test_an_object_that_leans_over_the_wall_of_the_tray_is_in_it_if_most_of_it_i
         assert seen.count == beside
 
 
+@pytest.mark.long
+def test_sheet_metal_that_the_width_of_the_gripper_does_not_show_is_picked():
+    pose = {"xyz": (0.70, -0.32, 0.234), "rpy": (0.0, 0.0, 0.3)}
+    with with_bar(pose, (0.05, 0.001, 0.03)).connect("sim", seed=0) as live:
+        outcome = live.clear("bin", **CALL)
+        assert outcome.ok, outcome.message
+        assert [outcome.evidence[k] for k in ("picks", "put", "missed", "cleared")] == [1, 1, 0, 1]
+
+
+@pytest.mark.long
+def test_a_ball_in_a_corner_is_dragged_out_of_it():
+    data = with_bar((0.70, -0.32, 0.2425)).spec.model_dump(exclude_unset=True)
+    ball = {"sphere": 0.02, "pose": (0.5085, -0.1085, 0.2385), "movable": True, "friction": 0.5}
+    data["objects"]["box_1"] = ball
+    with Cell("ball", whole().file, validated(data, whole().file)).connect("sim", seed=0) as live:
+        outcome = live.clear("bin", **CALL)
+        assert outcome.ok, outcome.message
+        assert outcome.evidence["pushes"] >= 1
+        assert [outcome.evidence[k] for k in ("cleared", "missed")] == [1, 0]
+        assert live.driver.unwanted_contacts() == []
+
+
 @pytest.mark.slow
 def test_an_object_that_leans_over_the_wall_of_the_bin_is_one_piece_on_both_sides_of_the_wall():
     data = with_bar((0.70, -0.32, 0.2425)).spec.model_dump(exclude_unset=True)

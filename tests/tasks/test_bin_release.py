@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
+from importlib import import_module
 from types import SimpleNamespace
 
 import pytest
 
-from armcell.core import SE3, Box, ErrorCode, PointCloud
+from armcell.core import SE3, Box, ErrorCode, Outcome, PointCloud
 from armcell.drivers import GripperReading
 from armcell.grasping import HeapGrasp
 from armcell.model import load_robot
@@ -15,10 +16,13 @@ from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks import TaskSettings
 from armcell.tasks.bin_clearing import BinClearingCounts, BinClearingSettings
 from armcell.tasks.bin_clearing.clear_bin import _BinClearing
-from armcell.tasks.bin_clearing.stages import FREE, HEAP, CloseOnHeap, Drop
+from armcell.tasks.bin_clearing.stages import FREE, HEAP, CloseOnHeap, Drop, held_object
+from armcell.tasks.bin_clearing.work_regions import WorkRegion
 from armcell.tasks.search import PartialSolution, SearchState
 from armcell.tasks.stages.grasp import finger_state
-from armcell.tasks.steps import CommandGripper
+from armcell.tasks.steps import DONE, CommandGripper
+
+clear_bin_file = import_module("armcell.tasks.bin_clearing.clear_bin")
 
 HELD = 0.030  # [m]
 WANTED = 0.050
@@ -126,3 +130,29 @@ def test_fingers_inside_a_channel_close_half_way_and_have_released_it():
     assert outcome.ok
     assert fingers.target == pytest.approx(HELD + 0.002, abs=1e-4)
     assert fingers.now < TaskSettings().gripper_timeout
+
+
+@pytest.mark.parametrize("is_over", [True, False])
+def test_an_object_that_touches_the_tray_before_the_arm_has_arrived_is_released_there(is_over, monkeypatch):
+    scene, grasp = at_grasp(None)
+    gripper = scene.model.gripper()
+    tcp = scene.frame_pose(gripper.tcp_link)
+    item = CollisionObject.single(held_object(gripper), Box(0.02, 0.03, 0.02), tcp, movable=True)
+    scene = scene.with_object(item).with_attached(item.name, gripper.tcp_link, gripper.hand_links)
+    ctx = SimpleNamespace(
+        driver=SimpleNamespace(gripper=lambda name: GripperReading(0.03, 30.0, None)), scene=lambda: scene,
+        settings=TaskSettings(release_margin=0.012), change_scene=lambda make: make(scene),
+    )  # fmt: skip
+    stopped = Outcome(ErrorCode.CONTROL_FAILED, "wrist_1_joint ended 0.01 from the goal")
+    opened: list[float] = []
+    monkeypatch.setattr(clear_bin_file, "perform_all", lambda ctx, steps: stopped)
+    monkeypatch.setattr(CommandGripper, "perform", lambda grip, ctx: opened.append(grip.width))
+    monkeypatch.setattr(Drop, "perform", lambda drop, ctx: opened.append(drop.grip.width) or DONE)
+    monkeypatch.setattr(_BinClearing, "_try_straight", lambda *a: None)
+    x, y = tcp.translation[:2] + (0.0 if is_over else 1.0)
+    tray = WorkRegion("in tray", ((x - 0.1, y - 0.1), (x + 0.1, y + 0.1)), 0.0)
+    counts = BinClearingCounts()
+    clearing = _BinClearing(ctx, gripper, "bin", BinClearingSettings(), counts, (), lambda: None, tray)
+    outcome = clearing._put(PartialSolution(scene), grasp)
+    assert (outcome.ok, counts.put) == ((True, 1) if is_over else (False, 0))
+    assert opened == [pytest.approx(0.042 if is_over else grasp.opening)]

@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 NEAR_FLOOR = 0.012  # [m] height above the floor below which a fingertip finds no slope
 NOISE = 0.001  # [m] of the heights
 LONGEST = 0.09  # [m] largest half length of a piece
-SAME_START = 0.01  # [m] distance of two drags that count as the same
+FEWEST = 20  # cells, for a median of heights
+SAME_PIECE = 0.06  # [m] distance of a drag from an earlier one that did not free the piece
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,9 @@ class DragSettings:
     above: float = 0.010  # of the fingertip above the piece at the start
     press: float = 0.012  # maximum descent below the visible surface
     clearance: float = 0.005  # of the hand above everything below its path
-    least_rise: float = 0.002  # minimum rise of a piece in front of the fingertip, if it does not roll
-    flat: float = 0.003  # height below the top down to which a piece counts as flat there
-    roll: float = 0.6  # maximum share of the flat part of a piece that rolls, along the drag
+    least_rise: float = 0.003  # minimum rise of a piece in front of the fingertip, if it does not roll
+    flat: float = 0.004  # height below the top down to which a piece counts as flat there
+    roll: float = 0.7  # maximum share of the flat part of a piece that rolls, along the drag
     kept: int = 12  # maximum number of candidates
 
     def __post_init__(self) -> None:
@@ -69,6 +70,13 @@ class HeapDrag(Grasp):
         """Return the direction [rad] of a drag's pull, about the world's z axis."""
         return float(np.arctan2(self.pull[1], self.pull[0]))
 
+    @property
+    def contact(self) -> tuple[float, float]:
+        """Return x and y [m, world] of the front edge of the fingertip that drags the piece."""
+        back = 0.5 * self.opening * self.T_object_tcp.rotation.matrix[:2, 1]
+        x, y = self.T_object_tcp.translation[:2] - back
+        return float(x), float(y)
+
 
 def drags_off_walls(
     seen: HeightMap,
@@ -77,7 +85,7 @@ def drags_off_walls(
     floor: float,
     hand: Hand,
     settings: DragSettings = DragSettings(),
-    avoid: Sequence[tuple[float, float, float]] = (),
+    avoid: Sequence[tuple[float, float]] = (),
 ) -> list[HeapDrag]:
     """Return drags that move pieces away from walls, sorted by the predicted gain of room around the piece.
 
@@ -88,7 +96,8 @@ def drags_off_walls(
         labels: (nx, ny) piece number of each cell, -1 for none.
         where: (nx, ny) cells over which a piece may move; it cannot fall off them.
         floor: [m, world z] height of the surface below the heap.
-        avoid: start x, y [m] and angle [rad] of earlier drags; drags near them are left out.
+        avoid: x, y [m] of the contacts of earlier drags. Drags near them are left out: what one drag does not
+            move, the next one does not move either.
     Raises:
         InputError: the sizes of map and labels differ.
     """
@@ -98,12 +107,13 @@ def drags_off_walls(
         if array.shape != seen.heights.shape:
             raise InputError(f"{name} of {array.shape} cells for a map of {seen.heights.shape}")
     s = settings
+    hidden = where & ~seen.seen  # mostly gaps between a piece and a wall
     groups, count = label(labels >= 0, np.ones((3, 3)))  # type: ignore[misc]
     found: list[HeapDrag] = []
     for k in range(1, count + 1):
         piece = groups == k
         outline, _, middle, _ = outline_of(seen, piece)
-        others = np.where(piece, floor, seen.heights)
+        others = np.where(piece | hidden, floor, seen.heights)
         free = (others <= floor + 0.5 * s.clearance) & where
         room = np.asarray(distance_transform_edt(free)) * seen.resolution
         away = away_from_obstacles(seen, room, outline)
@@ -113,8 +123,10 @@ def drags_off_walls(
             along = np.array([np.cos(angle), np.sin(angle)])
             if along @ away < s.toward:
                 continue
-            best = _Search(seen, piece, others, room, floor, hand, s).best(along, outline, middle, avoid)
-            if best is not None:
+            best = _Search(seen, piece, others, room, floor, hand, s).best(along, outline, middle)
+            if best is not None and all(
+                np.hypot(*np.subtract(best.contact, at)) > SAME_PIECE for at in avoid
+            ):
                 found.append(best)
     found.sort(key=lambda drag: -drag.score)
     return found[: s.kept]
@@ -136,9 +148,7 @@ class _Search:
         self._palm = np.abs(hand.palm[:, [1, 4]]).max(), np.abs(hand.palm[:, [0, 3]]).max()
         self._length = self._tip_z - float(hand.palm[:, 5].max())
 
-    def best(
-        self, along: Array, outline: Array, middle: Array, avoid: Sequence[tuple[float, float, float]]
-    ) -> HeapDrag | None:
+    def best(self, along: Array, outline: Array, middle: Array) -> HeapDrag | None:
         """Return the best drag in the direction `along`, or None if there is none."""
         s, step = self._settings, self._seen.resolution
         shift, gain = self._gain(along, outline)
@@ -165,8 +175,6 @@ class _Search:
         _, edge, surface = best
         turn = float(np.arctan2(along[1], along[0]))
         center = edge + 0.5 * self._hand.gripper.max_width * along
-        if any(np.hypot(*(center - (a, b))) < SAME_START and np.cos(turn - c) > 0.9 for a, b, c in avoid):
-            return None
         z = surface + s.above + self._tip_z
         y, approach = np.array([along[0], along[1], 0.0]), np.array([0.0, 0.0, -1.0])
         T = SE3(SO3(np.column_stack([np.cross(y, approach), y, approach])), np.array([*center, z]))
@@ -227,21 +235,29 @@ class _Search:
         i, j = self._below(edge, along, across, (-self._thick - s.room, 0.0), self._half + s.room)
         if float(self._others[i, j].max()) > surface - s.press:
             return None
-        i, j = self._below(edge, along, across, (0.0, 0.02), 0.5 * self._half)
-        ahead = np.where(self._piece[i, j], seen.heights[i, j], -np.inf)
-        rise = float(ahead.max()) - surface
-        return (
-            (surface, rise)
-            if rise >= (-NOISE if self._rolls(edge, along, across) else s.least_rise)
-            else None
-        )
+        # medians: single heights have too much noise
+        rise = self._median(edge, along, across, (0.0, 0.02))
+        rise -= self._median(edge, along, across, (-self._thick, 0.0))
+        least = -NOISE if self._rolls(edge, along, across) else s.least_rise
+        return (surface, rise) if rise >= least else None
+
+    def _median(self, edge: Array, along: Array, across: Array, u: tuple[float, float]) -> float:
+        """Return the median height [m] of the dragged piece below a part of the fingertip's path, or NaN if
+        there are too few cells for a median.
+        """
+        i, j = self._below(edge, along, across, u, self._half)
+        heights = self._seen.heights[i, j][self._piece[i, j]]
+        return float(np.median(heights)) if len(heights) >= FEWEST else np.nan
 
     def _rolls(self, edge: Array, along: Array, across: Array) -> bool:
         """Return whether the top of a piece is so curved along the drag that the piece may roll."""
         s, seen = self._settings, self._seen
-        i, j = self._below(edge, along, across, (-LONGEST, LONGEST), 0.5 * self._half)
-        heights = seen.heights[i, j][self._piece[i, j]]
-        return float(np.mean(heights > heights.max() - s.flat)) < s.roll
+        i, j = self._below(edge, along, across, (-LONGEST, LONGEST), self._half)
+        strip = np.where(self._piece[i, j], seen.heights[i, j], np.nan)
+        strip = strip.reshape(-1, int(2 * LONGEST / seen.resolution + 1e-6) + 1)
+        strip = strip[:, np.isfinite(strip).any(0)]
+        profile = np.nanmedian(strip, axis=0)
+        return float(np.mean(profile > profile.max() - s.flat)) < s.roll
 
     def _is_free(self, edge: Array, along: Array, across: Array, surface: float, shift: float) -> bool:
         """Return whether the hand touches nothing but the dragged piece during a drag.

@@ -101,12 +101,9 @@ def _seen_from(point, hand, along):
 
 
 @njit(cache=True)
-def _from_obstacle(points, normals, middle, before, room, x0, y0, resolution, friction, radius):
+def _from_obstacle(points, normals, middle, room, x0, y0, resolution, radius):
     """Move a piece, in place, out of the obstacle that it penetrates most deeply, in the compiled kernel for
     pushes. Return whether the piece was in an obstacle.
-
-    The force of the obstacle is in the friction cone. Its friction opposes the motion of the contact point
-    since the start of the step, at which the points were at `before`.
     """
     deepest, worst = -1, TOUCHES
     for k in range(len(points)):
@@ -124,11 +121,7 @@ def _from_obstacle(points, normals, middle, before, room, x0, y0, resolution, fr
     if size < 1e-9:
         return False
     away /= size
-    force = _within_cone(before[deepest] - points[deepest], away, friction)
-    at = points[deepest].copy()
-    if _nudge(points, normals, middle, at, force, away, worst, radius):
-        return True
-    return _nudge(points, normals, middle, at, away, away, worst, radius)
+    return _nudge(points, normals, middle, points[deepest].copy(), away, away, worst, radius)
 
 
 @njit(cache=True)
@@ -165,8 +158,7 @@ def predict(
     """Predict the motions of a piece for several straight pushes with a closed hand.
 
     The prediction is quasi-static: in each step of one cell, a force in the friction cone of the contact with
-    the hand moves the piece out of the hand, and forces in the friction cones of the contacts with obstacles
-    move it out of the obstacles.
+    the hand moves the piece out of the hand, and forces without friction move it out of the obstacles.
 
     Args:
         heights: (nx, ny) [m] heights of the cells.
@@ -184,7 +176,7 @@ def predict(
             distance on all sides of the fingers.
         limits: largest heights [m] of the cells below the fingers and below the palm.
         length: [m] of the push after the first contact.
-        friction: coefficient of friction of the piece on the hand and on the obstacles.
+        friction: coefficient of friction between hand and piece.
     Returns:
         (m, 5) one row per push: distance [m] of the hand's motion after which the piece has gained most room,
         gain of the outline's mean distance from obstacles [m], the piece's shift in x and y [m] and its turn
@@ -193,7 +185,7 @@ def predict(
     found = np.zeros((len(starts), 5))
     fingers, palm, margin = tool[0:2], tool[2:4], tool[4]
     wide = fingers + margin
-    had, before = _mean_room(room, x0, y0, resolution, outline), np.empty_like(outline)
+    before = _mean_room(room, x0, y0, resolution, outline)
     for c in range(len(starts)):
         along, hand = alongs[c], starts[c].copy()
         if not _fits(heights, x0, y0, resolution, hand, along, wide, limits[0]):
@@ -207,16 +199,13 @@ def predict(
             if not _fits(heights, x0, y0, resolution, ahead, along, palm, limits[1]):
                 break
             hand[:] = ahead
-            before[:] = points
             depth = 0.0
             for _ in range(PASSES):
                 depth = _from_hand(points, normals, center, hand, along, fingers, friction, radius)
                 touched = touched or depth != 0.0
                 if depth < 0.0:
                     break
-                moved = _from_obstacle(
-                    points, normals, center, before, room, x0, y0, resolution, friction, radius
-                )  # fmt: skip
+                moved = _from_obstacle(points, normals, center, room, x0, y0, resolution, radius)
                 if depth == 0.0 and not moved:
                     break
             if abs(depth) > JAMMED:
@@ -224,7 +213,7 @@ def predict(
             travel += resolution
             if touched:
                 pushed += resolution
-                gain = _mean_room(room, x0, y0, resolution, points) - had
+                gain = _mean_room(room, x0, y0, resolution, points) - before
                 if gain > found[c, 1]:
                     found[c, 0], found[c, 1] = travel, gain
                     found[c, 2], found[c, 3] = center[0] - middle[0], center[1] - middle[1]

@@ -40,7 +40,7 @@ class PushSettings:
     before: float = 0.010  # between the fingers and the piece at the start
     room: float = 0.004  # free space on all sides of the fingers
     clearance: float = 0.005  # of the fingers above the floor
-    friction: float = 0.5  # of the piece on the fingers and on the walls
+    friction: float = 0.5  # of the piece on the fingers
     least_gain: float = 0.002  # minimum gain of the mean distance from walls and other pieces
     kept: int = 20  # maximum number of candidates
 

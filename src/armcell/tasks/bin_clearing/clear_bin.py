@@ -31,6 +31,7 @@ from armcell.tasks.bin_clearing.stages import (
     ChooseFromHeap,
     ChooseReleasePoint,
     CloseOnHeap,
+    Drop,
     GripUntilForce,
     ReleaseAboveTray,
     detach_held,
@@ -73,6 +74,7 @@ class BinClearingCounts:
     in_a_row: int = 0  # failures since the last success
     avoid: list[HeapGrasp] = field(default_factory=list)  # failed grasps
     pushed: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], direction [rad]
+    dragged: list[tuple[float, float]] = field(default_factory=list)  # x, y [m] of the contact
     left: dict[str, str] = field(default_factory=dict)  # regions set aside, with the number of pieces in each
     last_view: RegionView | None = None  # of the bin; None after an attempt that may have moved any piece
     touched: list[NDArray[np.float64]] = field(default_factory=list)  # x, y [m] of the grasps since then
@@ -156,9 +158,7 @@ class _BinClearing:
                 pick, end = self._grasp()
             if pick is not None:  # the next arm may move to the bin while this one lifts its object
                 outcome = self._put_away(pick)
-                if outcome.ok:
-                    counts.in_a_row, counts.avoid, counts.pushed = 0, counts.avoid[-6:], []
-                else:
+                if not outcome.ok:
                     end = self._failed(outcome)
             if self._has_failed:  # not before other arms may use the bin
                 self._leave_view()
@@ -241,8 +241,17 @@ class _BinClearing:
             self.counts.last_view = None
             pick.recover(outcome)
             return outcome
+        counts, width = self.counts, self.ctx.driver.gripper(self.gripper.name).width
         put, outcome = self._plan_put(pick.grasp, pick.region)
-        return outcome if put is None else self._put(put, pick.grasp)
+        if put is not None:
+            outcome = self._put(put, pick.grasp)
+        if outcome.ok and width <= self.settings.thinnest:
+            counts.in_a_row += 1  # perhaps nothing was between the fingers
+            counts.avoid.append(pick.grasp)
+        elif outcome.ok:
+            counts.in_a_row, counts.avoid = 0, counts.avoid[-6:]
+            counts.pushed, counts.dragged = [], []
+        return outcome
 
     def _failed(self, outcome: Outcome) -> Outcome | None:
         """Count a failed attempt of `clear_bin`. Return the outcome if it ends the task."""
@@ -259,7 +268,7 @@ class _BinClearing:
         hand, s = hand_of(self.ctx.base.model, self.gripper), self.settings
         seen = here.map, here.labels, here.cells, here.region.floor, hand
         pushes = pushes_off_walls(*seen, s.pushes, self.counts.pushed)
-        drags = drags_off_walls(*seen, s.drags, self.counts.pushed)
+        drags = drags_off_walls(*seen, s.drags, self.counts.dragged)
         outcome = Outcome(ErrorCode.PLANNING_FAILED, f"no push moves a piece {here.region.name} off its wall")
         kinds: list[Sequence[HeapPush] | Sequence[HeapDrag]] = [pushes, drags]
         for motions in sorted(filter(None, kinds), key=lambda motions: -motions[0].score):
@@ -288,6 +297,8 @@ class _BinClearing:
         counts.last_view = None
         counts.pushed.append((*push.T_object_tcp.translation[:2].tolist(), push.angle))
         outcome = perform_all(ctx, opened_in_transit(ctx.scene(), solution.steps))
+        if isinstance(push, HeapDrag):
+            counts.dragged.append(push.contact)
         if outcome.ok and isinstance(push, HeapDrag):
             pull = PushPiece(gripper, s.push, s.push_force, "drag", push.pull)
             solution, _ = plan_stages(ctx, [pull], f"drag {here.region.name}")
@@ -308,7 +319,7 @@ class _BinClearing:
         detach_held(ctx, gripper)
         reading = ctx.driver.gripper(gripper.name)
         width = min(max(reading.width, 0.0) + t.release_margin, grasp.opening)
-        closed = holds(reading, s.thinnest) or reading.width <= s.thinnest
+        closed = holds(reading) or reading.width <= s.thinnest
         if isinstance(grasp, HeapGrasp) and closed:
             CommandGripper("open", gripper, width, gripper.max_force, t.release_settle).perform(ctx)
         touching = ((HEAP, gripper.hand_links), (self.bin, gripper.hand_links))
@@ -364,7 +375,7 @@ class _BinClearing:
             ChooseReleasePoint(points, hang, gripper, t.near, t.lower_distance),
             Connect("move to tray", gripper.arm_group, t.carry, target="pre_place"),
             AppendPlannedMotion("lower", "after_lower", "lower"),
-            ReleaseAboveTray(gripper, t.release_margin, t.release_settle, s.thinnest),
+            ReleaseAboveTray(gripper, t.release_margin, t.release_settle),
             MoveStraight(
                 "retreat", gripper.arm_group, gripper.tcp_link, t.free, (0.0, 0.0, t.retreat_distance)
             ),
@@ -375,19 +386,37 @@ class _BinClearing:
         return solution, outcome
 
     def _put(self, solution: PartialSolution, grasp: HeapGrasp) -> Outcome:
-        """Let `clear_bin` perform the planned release over the tray."""
-        outcome = perform_all(self.ctx, solution.steps)
+        """Let `clear_bin` perform the planned release over the tray.
+
+        An object that hangs lower than assumed touches the tray first and stops the arm: the hand releases it
+        there.
+        """
+        ctx, gripper, t = self.ctx, self.gripper, self.ctx.settings
+        outcome = perform_all(ctx, solution.steps)
+        if outcome.code is ErrorCode.CONTROL_FAILED and self._is_over_tray():
+            width = min(ctx.driver.gripper(gripper.name).width + t.release_margin, gripper.max_width)
+            grip = CommandGripper("open", gripper, width, gripper.max_force, t.release_settle)
+            outcome = Drop(grip).perform(ctx)
+            self._try_straight("retreat", t.retreat_distance, ((HEAP, gripper.hand_links),))
         if outcome.ok:
             self.counts.put += 1
         else:
             self._let_go(grasp, outcome)
         return outcome
 
+    def _is_over_tray(self) -> bool:
+        """Return whether the hand of `clear_bin` holds an object over the tray."""
+        scene, gripper = self.ctx.scene(), self.gripper
+        at = scene.frame_pose(gripper.tcp_link).translation[:2].tolist()
+        low, high = self._tray.rectangle
+        over = all(a < x < b for a, x, b in zip(low, at, high, strict=True))
+        return over and holds(self.ctx.driver.gripper(gripper.name))
+
     def _let_go(self, grasp: HeapGrasp, outcome: Outcome) -> None:
         """Let `clear_bin` release an object that did not get into the tray. A canceled task keeps it."""
-        ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
+        ctx, gripper, t = self.ctx, self.gripper, self.ctx.settings
         if outcome.code is not ErrorCode.PREEMPTED:
-            self.counts.dropped += not holds(ctx.driver.gripper(gripper.name), s.thinnest)
+            self.counts.dropped += not holds(ctx.driver.gripper(gripper.name))
             detach_held(ctx, gripper)
             CommandGripper("open", gripper, grasp.opening, gripper.max_force, t.release_settle).perform(ctx)
             self._has_failed = True
@@ -431,7 +460,7 @@ class _PickFromHeap(Pick):
                 CloseOnHeap(gripper, self._here.region.floor, t.grasp_settle, s.thinnest),
                 MoveStraight("lift", gripper.arm_group, gripper.tcp_link, t.carry, (0.0, 0.0, s.lift),
                              allow=touching),
-                RunSteps("check grasp", (CheckObjectInFingers(gripper, s.thinnest),)),
+                RunSteps("check grasp", (CheckObjectInFingers(gripper),)),
             )  # fmt: skip
             solution, outcome = plan_stages(ctx, stages, self.label)
             if solution is not None:

@@ -33,7 +33,7 @@ class BinClearingSettings:
     tries_per_piece: int = 2  # failed picks in a row per visible piece, if many are visible
     most_picks: int = 60
     most_pushes: int = 8  # maximum number of pushes in a row without a pick
-    thinnest: float = 0.0005  # fingers closer together are empty; sheet metal is 1 mm thick
+    thinnest: float = 0.0005  # fingers closer together hold sheet metal or nothing: the force decides
     max_age: float = 0.5  # [s] maximum age of an image
     grasps: TopDownGraspSettings = TopDownGraspSettings()
     push: Speed = Speed(0.15, 0.2)  # speed of pushes off a wall

@@ -148,7 +148,6 @@ class ReleaseAboveTray:
     gripper: Gripper
     margin: float  # [m] wider than now
     settle: float
-    thinnest: float
     name: str = "open"
 
     @property
@@ -170,7 +169,7 @@ class ReleaseAboveTray:
             planning.reject(self.name, solution.data.get("candidate", ""), reason)
             return
         yield solution.then(
-            CheckObjectInFingers(self.gripper, self.thinnest),
+            CheckObjectInFingers(self.gripper),
             Drop(grip),
             scene=scene.with_state(finger_state(self.gripper, width)),
         )
@@ -187,7 +186,7 @@ class GripUntilForce:
     gripper: Gripper
     force: float
     settle: float
-    thinnest: float  # [m]
+    thinnest: float  # [m] width at which the fingers have met
     shape: Shape  # assumed shape between the fingers
     T_tcp_shape: SE3
     name: str = "close"
@@ -208,7 +207,7 @@ class GripUntilForce:
             return Outcome(ErrorCode.PREEMPTED, "cancelled")
         ctx.advance(self.settle)
         reading = driver.gripper(name)
-        if not holds(reading, self.thinnest):
+        if not holds(reading):
             return Outcome(ErrorCode.CONTROL_FAILED, f"closed on nothing ({reading.width * 1000:.1f} mm)")
         ctx.change_scene(self._held)
         width, force = reading.width * 1000, reading.force_per_finger
@@ -226,11 +225,10 @@ class CheckObjectInFingers:
     """Step of bin clearing that checks whether an object is still between the fingers."""
 
     gripper: Gripper
-    thinnest: float  # [m]
 
     def perform(self, ctx: TaskContext) -> Outcome:
         reading = ctx.driver.gripper(self.gripper.name)
-        if holds(reading, self.thinnest):
+        if holds(reading):
             return DONE
         return not_held(ctx, f"lost it: the fingers are {reading.width * 1000:.1f} mm apart and feel nothing")
 
@@ -274,11 +272,12 @@ class Drop:
         return DONE
 
 
-def holds(reading: GripperReading, thinnest: float) -> bool:
-    """Return whether a gripper in bin clearing counts as holding an object:
-    its fingers press, but are not fully closed.
+def holds(reading: GripperReading) -> bool:
+    """Return whether a gripper in bin clearing counts as holding an object: its fingers press.
+
+    The width does not show sheet metal of 1 mm, which is as thin as the reading's error.
     """
-    return reading.width > thinnest and reading.force_per_finger > 1.0
+    return reading.force_per_finger > 1.0
 
 
 def held_object(gripper: Gripper) -> str:
