@@ -19,6 +19,7 @@ from armcell.collision.certify_timed import TimedCertificate
 from armcell.collision.exact_checker import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.motion import first_below_clearance
+from armcell.collision.view_cone import links_in_hull
 from armcell.core import Contact, InputError, JointTrajectory
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
@@ -38,6 +39,18 @@ def moved_links(model: RobotModel, group: str) -> frozenset[str]:
     checks between arms.
     """
     return links_of_joints(model, model.group(group).joint_names)
+
+
+def arms_in_hull(scene: PlanningScene, corners: NDArray[np.float64], arms: Iterable[str]) -> list[str]:
+    """Return which of the given arms reach into the convex hull of some points, such as a camera's view.
+
+    Args:
+        corners: (k, 3) points [m, world frame].
+    """
+    moved = {arm: moved_links(scene.model, arm) for arm in arms}
+    others = set(scene.model.links).difference(*moved.values())
+    inside = links_in_hull(scene, corners, others).keys()
+    return [arm for arm in moved if moved[arm] & inside]
 
 
 @lru_cache(maxsize=64)

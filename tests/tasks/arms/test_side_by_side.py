@@ -12,7 +12,7 @@ from armcell.collision.inter_arm_checker import InterArmChecker
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.planning import goal_of
 from armcell.tasks import checked
-from armcell.tasks.arms.side_by_side import MotionCoordinator
+from armcell.tasks.arms.motion_coordinator import MotionCoordinator
 from armcell.tasks.stages import Connect
 from armcell.tasks.steps import CommandGripper, ParallelMotions
 from armcell.tasks.task import plan_stages

@@ -4,9 +4,10 @@ from armcell.tasks.arms.carry import TwoArmCarry, moved_object_pose
 from armcell.tasks.arms.coupled import move_together
 from armcell.tasks.arms.hand_over import hand_over
 from armcell.tasks.arms.hand_pair import CarrySettings
+from armcell.tasks.arms.motion_coordinator import ArmContext
 from armcell.tasks.arms.object_order import CycleTimes, orders
 from armcell.tasks.arms.screw import ScrewSettings, screw
-from armcell.tasks.arms.side_by_side import ArmContext, SideBySide, side_by_side
+from armcell.tasks.arms.side_by_side import SideBySide, side_by_side
 
 __all__ = [
     "ArmContext",

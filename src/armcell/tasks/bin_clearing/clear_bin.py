@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import replace
 
 from armcell.core import ErrorCode, InputError, NamedGoal, Outcome
 from armcell.grasping import (
     Grasp,
-    HeapDrag,
     HeapGrasp,
-    HeapPush,
     TopDownGraspSettings,
-    drags_off_walls,
     hand_of,
-    pushes_off_walls,
     top_down_grasps,
 )
 from armcell.model import Gripper, SuctionGripper
 from armcell.planning import warm_up
-from armcell.tasks.bin_clearing.push import PushPiece
+from armcell.tasks.bin_clearing.counts import BinClearingCounts
+from armcell.tasks.bin_clearing.push import push_off_wall
 from armcell.tasks.bin_clearing.settings import BinClearingSettings
 from armcell.tasks.bin_clearing.stages import (
     HEAP,
@@ -59,28 +52,6 @@ from armcell.tasks.task import plan_stages
 
 LIFTED = 0.02  # [m] of a lift that a retreat does not finish
 _FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, ErrorCode.FAILURE)
-
-
-@dataclass
-class BinClearingCounts:
-    """Counters of `clear_bin` for picks and failures. Arms that clear one bin side by side share them."""
-
-    picks: int = 0  # closed grasps
-    put: int = 0  # objects released over the tray
-    missed: int = 0  # closed without an object, or lost during the lift
-    dropped: int = 0  # lost in transit
-    unplanned: int = 0  # looks without a reachable grasp
-    pushes: int = 0  # pushes of a piece off a wall
-    in_a_row: int = 0  # failures since the last success
-    avoid: list[HeapGrasp] = field(default_factory=list)  # failed grasps
-    pushed: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], direction [rad]
-    dragged: list[tuple[float, float]] = field(default_factory=list)  # x, y [m] of the contact
-    left: dict[str, str] = field(default_factory=dict)  # regions set aside, with the number of pieces in each
-    last_view: RegionView | None = None  # of the bin; None after an attempt that may have moved any piece
-    touched: list[NDArray[np.float64]] = field(default_factory=list)  # x, y [m] of the grasps since then
-
-    def as_dict(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if isinstance(v, int) and k != "in_a_row"}
 
 
 def clear_bin(
@@ -204,7 +175,9 @@ class _BinClearing:
         end = self._failed(outcome)
         if outcome.code is ErrorCode.PLANNING_FAILED:
             if len(counts.pushed) < s.most_pushes:
-                outcome = self._push(here)
+                push, outcome = push_off_wall(ctx, self.gripper, here, s, counts)
+                if push is not None:
+                    self.retreat(push)
             self._any_grasp = not outcome.ok
             counts.in_a_row -= outcome.ok  # the piece may have a grasp now
             end = outcome if outcome.code in _FINAL else None
@@ -260,52 +233,6 @@ class _BinClearing:
         self.counts.in_a_row += 1
         self.ctx.emit("note", f"clearing {self.bin}: {outcome.message}")
         return outcome if outcome.code in _FINAL else None
-
-    def _push(self, here: RegionView) -> Outcome:
-        """Let `clear_bin` push or drag a piece away from the walls if the hand does not fit around it: the
-        motion with the best prediction. Return a failure if there is none.
-        """
-        hand, s = hand_of(self.ctx.base.model, self.gripper), self.settings
-        seen = here.map, here.labels, here.cells, here.region.floor, hand
-        pushes = pushes_off_walls(*seen, s.pushes, self.counts.pushed)
-        drags = drags_off_walls(*seen, s.drags, self.counts.dragged)
-        outcome = Outcome(ErrorCode.PLANNING_FAILED, f"no push moves a piece {here.region.name} off its wall")
-        kinds: list[Sequence[HeapPush] | Sequence[HeapDrag]] = [pushes, drags]
-        for motions in sorted(filter(None, kinds), key=lambda motions: -motions[0].score):
-            outcome = self._perform_push(motions, here)
-            if outcome.code is not ErrorCode.PLANNING_FAILED:
-                break
-        return outcome
-
-    def _perform_push(self, pushes: Sequence[HeapPush] | Sequence[HeapDrag], here: RegionView) -> Outcome:
-        """Let `clear_bin` perform the first of the pushes or drags that the arm can reach."""
-        ctx, gripper, counts, s, t = self.ctx, self.gripper, self.counts, self.settings, self.ctx.settings
-        press = PushPiece(gripper, s.press, s.press_force, "press")
-        begin = press if isinstance(pushes[0], HeapDrag) else PushPiece(gripper, s.push, s.push_force)
-        stages = grasp_stages(
-            ChooseFromHeap(pushes, gripper, t.near, t.approach_distance),
-            gripper,
-            t,
-            begin,
-            name="move to push",
-        )
-        solution, outcome = plan_stages(ctx, stages, f"push {here.region.name}")
-        if solution is None:
-            return outcome
-        push: HeapPush | HeapDrag = solution.data["grasp"]
-        counts.pushes += 1
-        counts.last_view = None
-        counts.pushed.append((*push.T_object_tcp.translation[:2].tolist(), push.angle))
-        outcome = perform_all(ctx, opened_in_transit(ctx.scene(), solution.steps))
-        if isinstance(push, HeapDrag):
-            counts.dragged.append(push.contact)
-        if outcome.ok and isinstance(push, HeapDrag):
-            pull = PushPiece(gripper, s.push, s.push_force, "drag", push.pull)
-            solution, _ = plan_stages(ctx, [pull], f"drag {here.region.name}")
-            if solution is not None:
-                outcome = perform_all(ctx, solution.steps)
-        self.retreat(push)
-        return outcome
 
     def retreat(self, grasp: Grasp) -> None:
         """Let `clear_bin` retreat from a grasp: open the fingers and move straight up to the height of the

@@ -1,21 +1,81 @@
-"""Stages of bin clearing that push or drag a piece off a wall."""
+"""Pushes and drags of bin clearing, which move a piece off a wall."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 from armcell.core import ErrorCode, JointTrajectory, Outcome
 from armcell.drivers import Capability
+from armcell.grasping import HeapDrag, HeapPush, drags_off_walls, hand_of, pushes_off_walls
 from armcell.model import Gripper
 from armcell.tasks.approach import ContactMonitor
-from armcell.tasks.bin_clearing.stages import HEAP
+from armcell.tasks.bin_clearing.counts import BinClearingCounts
+from armcell.tasks.bin_clearing.settings import BinClearingSettings
+from armcell.tasks.bin_clearing.stages import HEAP, ChooseFromHeap
+from armcell.tasks.bin_clearing.work_regions import RegionView
 from armcell.tasks.context import TaskContext
+from armcell.tasks.pick import grasp_stages
 from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
+from armcell.tasks.stages.fingers import opened_in_transit
 from armcell.tasks.stages.moves import plan_straight, shifted, with_contacts, with_motion
-from armcell.tasks.steps import DONE, DropMonitor, Motion
+from armcell.tasks.steps import DONE, DropMonitor, Motion, perform_all
+from armcell.tasks.task import plan_stages
+
+
+def push_off_wall(
+    ctx: TaskContext,
+    gripper: Gripper,
+    here: RegionView,
+    settings: BinClearingSettings,
+    counts: BinClearingCounts,
+) -> tuple[HeapPush | HeapDrag | None, Outcome]:
+    """Push or drag a piece away from the walls if the hand does not fit around it: the motion with the best
+    prediction. Return the motion, after which the hand must retreat, and its outcome. If the arm can reach no
+    such motion, return None and PLANNING_FAILED.
+    """
+    hand = hand_of(ctx.base.model, gripper)
+    seen = here.map, here.labels, here.cells, here.region.floor, hand
+    pushes = pushes_off_walls(*seen, settings.pushes, counts.pushed)
+    drags = drags_off_walls(*seen, settings.drags, counts.dragged)
+    kinds: list[Sequence[HeapPush] | Sequence[HeapDrag]] = [pushes, drags]
+    text = f"no push moves a piece {here.region.name} off its wall"
+    done, outcome = None, Outcome(ErrorCode.PLANNING_FAILED, text)
+    for motions in sorted(filter(None, kinds), key=lambda motions: -motions[0].score):
+        done, outcome = _perform_first(ctx, gripper, motions, here, settings, counts)
+        if done is not None:
+            break
+    return done, outcome
+
+
+def _perform_first(
+    ctx: TaskContext, gripper: Gripper, pushes: Sequence[HeapPush] | Sequence[HeapDrag], here: RegionView,
+    s: BinClearingSettings, counts: BinClearingCounts,
+) -> tuple[HeapPush | HeapDrag | None, Outcome]:  # fmt: skip
+    """Perform the first of the pushes or drags that the arm can reach."""
+    t = ctx.settings
+    press = PushPiece(gripper, s.press, s.press_force, "press")
+    begin = press if isinstance(pushes[0], HeapDrag) else PushPiece(gripper, s.push, s.push_force)
+    choose = ChooseFromHeap(pushes, gripper, t.near, t.approach_distance)
+    stages = grasp_stages(choose, gripper, t, begin, name="move to push")
+    solution, outcome = plan_stages(ctx, stages, f"push {here.region.name}")
+    if solution is None:
+        return None, outcome
+    push: HeapPush | HeapDrag = solution.data["grasp"]
+    counts.pushes += 1
+    counts.last_view = None
+    counts.pushed.append((*push.T_object_tcp.translation[:2].tolist(), push.angle))
+    outcome = perform_all(ctx, opened_in_transit(ctx.scene(), solution.steps))
+    if isinstance(push, HeapDrag):
+        counts.dragged.append(push.contact)
+    if outcome.ok and isinstance(push, HeapDrag):
+        pull = PushPiece(gripper, s.push, s.push_force, "drag", push.pull)
+        solution, _ = plan_stages(ctx, [pull], f"drag {here.region.name}")
+        if solution is not None:
+            outcome = perform_all(ctx, solution.steps)
+    return push, outcome
 
 
 @stage_types.register("push_piece")
