@@ -123,13 +123,15 @@ bench-dual: $(VENV)/.stamp ## set up, then measure two UR10: planning, proofs, t
 	$(BIN)/armcell bench dual
 	$(PY) -m benchmarks.two_arms --runs $(or $(RUNS),100)
 
-bench-grasp: $(VENV)/.stamp ## set up, then pick 67 objects with two robots, also at wrong poses, look for them, clear bins, measure solid regions, creep, drift (RUNS=10, POSES=3, hours)
+bench-grasp: $(VENV)/.stamp ## set up, then pick 67 objects with two robots, also at wrong poses, look for them, clear bins, compare P(success) with picks, measure solid regions, creep, drift (RUNS=10, POSES=3, hours)
 	$(PY) -m benchmarks.grasping --poses $(or $(POSES),3); grasped=$$?; \
 	$(PY) -m benchmarks.grasping --poses 1 --errors 3 5 7 10 up5 down5 --draws 2; wrong=$$?; \
+	$(PY) -m benchmarks.grasp_probability --factors 5 8 --count 12; panda=$$?; \
+	$(PY) -m benchmarks.grasp_probability --robot ur10_gripper --factors 5 8 --count 12; ur10=$$?; \
 	$(PY) -m benchmarks.solid_regions; solid=$$?; \
 	$(PY) -m benchmarks.mesh_poses; seen=$$?; \
 	$(PY) -m benchmarks.bins; bins=$$?; \
-	$(PY) -m benchmarks.holding --runs $(or $(RUNS),10) && exit $$((grasped | wrong | solid | seen | bins))
+	$(PY) -m benchmarks.holding --runs $(or $(RUNS),10) && exit $$((grasped | wrong | panda | ur10 | solid | seen | bins))
 
 clean: ## remove the environment, builds and caches (runs/ stays)
 	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis .import_linter_cache

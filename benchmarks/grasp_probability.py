@@ -26,7 +26,7 @@ from armcell.cell.grasp_predictions import Prediction, predictions, scores
 from armcell.core import ArmcellError
 from armcell.grasping import Noise, grasp_candidates, hand_of
 from armcell.tasks.grasp_proof import NOISE
-from benchmarks.grasp_objects import Listed, graspable, listed, load
+from benchmarks.grasp_objects import HALVES, Listed, graspable, listed, load
 
 FAILED = 0.2  # share of failed picks at which the noise is large enough
 FARTHEST = 0.08  # largest difference of predicted and observed success in a bin with many trials
@@ -64,6 +64,8 @@ def report(factor: float, found: dict[str, Any]) -> Iterator[str]:
     yield f"noise x {factor:g}: {found['predictions']} predictions, {failures} failures ({share:.0f} %)"
     for name, text in (("proof", "P"), ("epsilon", "epsilon"), ("base_rate", "mean rate")):
         yield f"  Brier score of {text}: {found[f'brier_{name}']:.4f}"
+    low, high = found["brier_proof_interval"]
+    yield f"  95 % interval of P's Brier score: {low:.4f} to {high:.4f}"
     low, high = found["brier_lead_interval"]
     yield f"  P's lead over epsilon: {found['brier_lead']:.4f} ({low:.4f} to {high:.4f})"
     yield f"  area under the curve: {found['auc_proof']} (P), {found['auc_epsilon']} (epsilon)"
@@ -84,10 +86,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--robot", default="panda")
     parser.add_argument("--factors", type=float, nargs="+", default=(1.0, 2.0, 4.0, 8.0))
     parser.add_argument("--count", type=int, default=6, help="picks per object")
+    parser.add_argument("--half", choices=HALVES, help="default: both")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every Nth object")
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args(argv)
-    chosen = listed()[:: given.every]
+    chosen = [e for e in listed() if given.half in (None, e.half)][:: given.every]
     for entry in {e.source: e for e in chosen}.values():
         load(entry)  # one download, before the workers start
     good = True

@@ -36,4 +36,4 @@ for share in (1.0, 0.33, 0.1):
 for position in (0.001, 0.004, 0.012):
     noise = Noise(position=position, rotation=0.02)
     (proof,) = prove_grasps(model, gripper, bottle, [best], trials=12, noise=noise)
-    print(f"pose known to {position * 1000:.0f} mm: {proof.successes} of {proof.trials} held")
+    print(f"pose known to {position * 1000:.0f} mm: P(success) {proof.probability:.2f}")

@@ -62,3 +62,9 @@ def test_the_open_hand_enters_an_object_that_is_farther_off_than_its_opening_all
     for share, enters in ((0.0, False), (0.9, False), (1.5, True), (-1.5, True)):
         moved = grasp.T_object_tcp @ SE3.from_xyz(0.0, share * beside, 0.0)
         assert (approach_depth(CUBE, hand, grasp, moved) > 0.0) == enters
+
+
+def test_the_palm_may_touch_the_object_at_the_end_of_the_approach(hand):
+    (grasp, *_), _ = grasp_candidates(CUBE, hand, pose_error=0.0)
+    deeper = grasp.T_object_tcp @ SE3.from_xyz(0.0, 0.0, 0.05)
+    assert approach_depth(CUBE, hand, grasp, deeper) == 0.0

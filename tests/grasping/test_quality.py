@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize
+from scipy.stats import norm
 from tests.grasping.solids import solid
 
-from armcell.core import Box, Cylinder
+from armcell.core import SE3, Box, Cylinder
 from armcell.grasping import (
     Noise,
     PadContact,
@@ -97,6 +98,18 @@ def test_held_at_its_middle_is_better_than_at_its_end(hand):
     middle, end = next((grasps[n], grasps[f"{n} +60 mm"]) for n in grasps if f"{n} +60 mm" in grasps)
     assert grasp_quality(rod, middle).epsilon > 1.05 * grasp_quality(rod, end).epsilon
     assert middle.score > end.score and middle.force < end.force
+
+
+def test_a_few_noisy_samples_cover_the_distribution_evenly():
+    """A Latin hypercube: one of n samples is in each n-quantile. The first object is nominal."""
+    item, noise = solid(Box(0.06, 0.04, 0.08), mass=0.5, material=Material(0.5)), Noise()
+    first, *others = noise.materials(item, 9, np.random.default_rng(1))
+    assert (first.mass, first.material) == (item.mass, item.material)
+    logs = np.log([[o.material.friction / 0.5, o.mass_kg / 0.5] for o in others])
+    assert noise.poses(1, np.random.default_rng(1))[0].distance_to(SE3.identity()) == (0.0, 0.0)
+    shifts = [T.translation for T in noise.poses(9, np.random.default_rng(1))[1:]]
+    for samples in [*(logs / [noise.friction, noise.mass]).T, *np.array(shifts).T / noise.position]:
+        assert sorted(np.floor(8 * norm.cdf(samples))) == list(range(8))
 
 
 def test_robustness_falls_with_noise_and_rises_with_force(hand):

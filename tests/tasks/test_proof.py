@@ -10,7 +10,7 @@ import pytest
 from tests.tasks.helpers import live, nominal, panda_pick, with_cube
 
 from armcell.core import SE3, Box, Cylinder
-from armcell.grasping import grasp_candidates, hand_of
+from armcell.grasping import Noise, grasp_candidates, hand_of
 from armcell.model import hand_alone, load_robot
 from armcell.scene import CollisionObject, Material, library_object
 from armcell.tasks import (
@@ -75,6 +75,22 @@ def test_beside_the_middle_a_heavy_rod_turns_out_of_the_hand(robot):
     assert middle.successes == 4 and end.successes == 0
 
 
+def test_a_worse_known_pose_stops_more_approaches_but_the_trials_begin_at_the_grasp(robot):
+    model, gripper, hand = robot
+    item = cube(mass=0.2, material=Material(0.5))
+    best = grasp_candidates(item, hand)[0][0]
+    proofs = [
+        prove_grasps(model, gripper, item, [best], trials=4, noise=Noise(error, 0.0, 0.0, 0.0))[0]
+        for error in (0.001, 0.008, 0.03)
+    ]
+    sharp, blurred, blind = (proof.approach for proof in proofs)
+    assert sharp > 0.99 > 0.95 > blurred > blind > 0.0
+    assert [proof.successes for proof in proofs[:2]] == [4, 4]
+    for proof in proofs:
+        low, high = proof.interval
+        assert 0.0 < proof.probability < 1.0 and low <= proof.probability <= high
+
+
 @pytest.mark.slow
 def test_the_same_trials_are_remembered(robot, monkeypatch):
     model, gripper, hand = robot
@@ -133,7 +149,7 @@ def test_what_leads_on_only_as_long_as_nothing_turns_in_the_hand_comes_last(monk
     turns: dict[str, float] = {}
 
     def proven(model, gripper, item, grasps, trials):
-        return [GraspProof(g, trials, trials, 0.0, turns.get(g.name, 0.0)) for g in grasps]
+        return [GraspProof(g, trials, trials, 0.0, turns.get(g.name, 0.0), 1.0) for g in grasps]
 
     def no_room_when_turned(_):
         return lambda g: "" if g.T_object_tcp.distance_to(as_chosen[g.name])[1] < 1e-6 else "no room"

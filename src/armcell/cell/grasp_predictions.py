@@ -190,8 +190,9 @@ def scores(
     """Score three predictors of grasp success on the results of trials: the probability P of the grasp proof,
     the grasp quality epsilon, and the base rate.
 
-    `brier_lead` is the Brier score of epsilon minus that of P, and `brier_lead_interval` its 95 % bootstrap
-    interval over objects. An area under the curve is None without successes or without failures.
+    `brier_lead` is the Brier score of epsilon minus that of P. `brier_proof_interval` and
+    `brier_lead_interval` are 95 % bootstrap intervals over objects. An area under the curve is None without
+    successes or without failures.
 
     Args:
         objects, probability, epsilon, success: one value per trial.
@@ -208,6 +209,7 @@ def scores(
         )
     found["auc_proof"] = area_under_curve(p, happened)
     found["auc_epsilon"] = area_under_curve(np.array(epsilon, float), happened)
+    found["brier_proof_interval"] = _interval(names, (p - happened) ** 2)
     lead = (curve - happened) ** 2 - (p - happened) ** 2
     found["brier_lead"] = float(lead.mean())
     found["brier_lead_interval"] = _interval(names, lead)
@@ -278,14 +280,14 @@ def leave_one_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Arr
     return found
 
 
-def _interval(objects: NDArray[np.str_], lead: Array) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval for the mean difference between the Brier scores of two grasp
-    predictors. The bootstrap resamples objects, not trials.
+def _interval(objects: NDArray[np.str_], loss: Array) -> tuple[float, float]:
+    """Return the 95 % bootstrap interval for the mean loss of a grasp predictor, or for the mean difference
+    between the losses of two. The bootstrap resamples objects, not trials.
 
     Each resampled object keeps all its trials.
     """
     names, index = np.unique(objects, return_inverse=True)
-    total, count = np.bincount(index, lead), np.bincount(index)
+    total, count = np.bincount(index, loss), np.bincount(index)
     drawn = np.random.default_rng(0).integers(len(names), size=(RESAMPLED, len(names)))
     means = total[drawn].sum(1) / count[drawn].sum(1)
     low, high = np.quantile(means, (0.025, 0.975))

@@ -50,16 +50,15 @@ class Noise:
         """Sample small displacements of an object, to evaluate how robust a grasp's quality is. The first is
         the identity.
         """
-        shifts = rng.normal(scale=self.position, size=(count, 3))
-        turns = rng.normal(scale=self.rotation, size=(count, 3))
-        return [SE3.identity(), *(SE3(SO3.exp(t), s) for s, t in zip(shifts[1:], turns[1:], strict=True))]
+        shifts = self.position * _strata(count, 3, rng)
+        turns = self.rotation * _strata(count, 3, rng)
+        return [SE3(SO3.exp(t), s) for s, t in zip(shifts, turns, strict=True)]
 
     def materials(self, item: CollisionObject, count: int, rng: np.random.Generator) -> list[CollisionObject]:
         """Sample objects with varied friction and mass, to evaluate how robust a grasp's quality is. The
         first is the given object.
         """
-        shares = np.exp(rng.normal(size=(count, 2)) * [self.friction, self.mass])
-        shares[0] = 1.0
+        shares = np.exp(_strata(count, 2, rng) * [self.friction, self.mass])
         m = item.material
         return [
             replace(
@@ -69,6 +68,18 @@ class Noise:
             )
             for rough, heavy in shares
         ]
+
+
+def _strata(count: int, size: int, rng: np.random.Generator) -> Array:
+    """Return `count` standard normal samples (count, size): the first is zero, the others are a Latin
+    hypercube.
+
+    With a few independent samples for all grasps of an object, their mean would bias all estimates alike.
+    """
+    from scipy.special import ndtri
+
+    strata = rng.permuted(np.tile(np.arange(count - 1), (size, 1)), axis=1).T
+    return np.vstack([np.zeros(size), ndtri((strata + rng.random(strata.shape)) / max(count - 1, 1))])
 
 
 def contact_wrenches(
@@ -130,7 +141,9 @@ def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
 
 
 def approach_depth(item: CollisionObject, hand: Hand, grasp: Grasp, T_object_tcp: SE3) -> float:
-    """Return how deep [m] the open hand of a grasp enters an object on its straight approach.
+    """Return how deep [m] the open fingers of a grasp enter an object on their straight approach.
+
+    The palm does not count: if it touches the object just before the grasp, a pick closes the hand.
 
     Args:
         T_object_tcp: pose of the hand at the end of the approach, which may differ from the grasp's own pose.
@@ -141,7 +154,7 @@ def approach_depth(item: CollisionObject, hand: Hand, grasp: Grasp, T_object_tcp
     points = np.ascontiguousarray(T.inverse().apply(surface_of(item).points))
     return float(
         hand_fit_kernel.depth_on_approach(
-            points, hand.palm, hand.left, hand.right, grasp.approach, grasp.opening, 0.0
+            points, hand.palm[:0], hand.left, hand.right, grasp.approach, grasp.opening, 0.0
         )
     )
 
