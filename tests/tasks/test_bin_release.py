@@ -132,15 +132,17 @@ def test_fingers_inside_a_channel_close_half_way_and_have_released_it():
     assert fingers.now < TaskSettings().gripper_timeout
 
 
-@pytest.mark.parametrize("is_over", [True, False])
-def test_an_object_that_touches_the_tray_before_the_arm_has_arrived_is_released_there(is_over, monkeypatch):
+@pytest.mark.parametrize("is_over, force", [(True, 30.0), (False, 30.0), (True, 0.0)])
+def test_an_object_that_touches_the_tray_before_the_arm_has_arrived_is_released_there(
+    is_over, force, monkeypatch
+):
     scene, grasp = at_grasp(None)
     gripper = scene.model.gripper()
     tcp = scene.frame_pose(gripper.tcp_link)
     item = CollisionObject.single(held_object(gripper), Box(0.02, 0.03, 0.02), tcp, movable=True)
     scene = scene.with_object(item).with_attached(item.name, gripper.tcp_link, gripper.hand_links)
     ctx = SimpleNamespace(
-        driver=SimpleNamespace(gripper=lambda name: GripperReading(0.03, 30.0, None)), scene=lambda: scene,
+        driver=SimpleNamespace(gripper=lambda name: GripperReading(0.03, force, None)), scene=lambda: scene,
         settings=TaskSettings(release_margin=0.012), change_scene=lambda make: make(scene),
     )  # fmt: skip
     stopped = Outcome(ErrorCode.CONTROL_FAILED, "wrist_1_joint ended 0.01 from the goal")
@@ -154,5 +156,6 @@ def test_an_object_that_touches_the_tray_before_the_arm_has_arrived_is_released_
     counts = BinClearingCounts()
     clearing = _BinClearing(ctx, gripper, "bin", BinClearingSettings(), counts, (), lambda: None, tray)
     outcome = clearing._put(PartialSolution(scene), grasp)
-    assert (outcome.ok, counts.put) == ((True, 1) if is_over else (False, 0))
-    assert opened == [pytest.approx(0.042 if is_over else grasp.opening)]
+    released = is_over and force > 0
+    assert (outcome.ok, counts.put, counts.dropped) == (released, int(released), int(force == 0))
+    assert opened == [pytest.approx(0.042 if released else grasp.opening)]

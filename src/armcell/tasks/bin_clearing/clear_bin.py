@@ -320,8 +320,9 @@ class _BinClearing:
         """
         ctx, gripper, t = self.ctx, self.gripper, self.ctx.settings
         outcome = perform_all(ctx, solution.steps)
-        if outcome.code is ErrorCode.CONTROL_FAILED and self._is_over_tray():
-            width = min(ctx.driver.gripper(gripper.name).width + t.release_margin, gripper.max_width)
+        reading = ctx.driver.gripper(gripper.name)
+        if outcome.code is ErrorCode.CONTROL_FAILED and holds(reading) and self._is_over_tray():
+            width = min(reading.width + t.release_margin, gripper.max_width)
             grip = CommandGripper("open", gripper, width, gripper.max_force, t.release_settle)
             outcome = Drop(grip).perform(ctx)
             self._try_straight("retreat", t.retreat_distance, ((HEAP, gripper.hand_links),))
