@@ -110,12 +110,13 @@ def table_around(
     scene: PlanningScene, name: str, table: str, others: tuple[str, ...], s: BinClearingSettings
 ) -> WorkRegion:
     """Return the table surface around a bin or tray as a work region,
-    without the areas of the other objects on the table.
+    without the areas of the other objects on the table, and without its border, beside which the camera may
+    see an edge.
 
     The regions around two neighbors overlap, because the arm may hide the space between from one camera.
     """
     frame, size_x, size_y = support_surface(scene.object(table))
-    half = np.abs(frame.rotation.matrix[:2, :2]) @ np.array([size_x, size_y]) / 2
+    half = np.abs(frame.rotation.matrix[:2, :2]) @ np.array([size_x, size_y]) / 2 - 2 * s.resolution
     (x0, y0), (x1, y1) = _outline(scene.object(name), s.beside)
     low = np.maximum(frame.translation[:2] - half, (x0, y0))
     high = np.minimum(frame.translation[:2] + half, (x1, y1))
