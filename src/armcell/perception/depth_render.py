@@ -225,7 +225,7 @@ def _moved(R, t, center, step, out_R, out_t):
 
 
 @njit(cache=True)
-def refine(vertices, faces, closed, center, radius, R, t, e, pixel, iterations, central):
+def refine(vertices, faces, closed, center, radius, R, t, e, pixel, iterations):
     """Refine the pose (R, t) of a mesh with the Levenberg-Marquardt method, such that its rendered depth has
     the minimum loss.
 
@@ -233,7 +233,6 @@ def refine(vertices, faces, closed, center, radius, R, t, e, pixel, iterations, 
 
     Args:
         pixel: [m] size of a pixel at the object.
-        central: whether the differences are central, or forward: half the time, but half a pixel off.
     Returns:
         The pose (R, t) and its loss.
     """
@@ -251,15 +250,11 @@ def refine(vertices, faces, closed, center, radius, R, t, e, pixel, iterations, 
             step[k] = h
             _moved(R, t, center, step, R2, t2)
             loss(vertices, faces, closed, R2, t2, e, drawn, ahead)
-            if central:
-                step[k] = -h
-                _moved(R, t, center, step, R2, t2)
-                loss(vertices, faces, closed, R2, t2, e, drawn, behind)
-                for i in range(n):
-                    J[k, i] = (ahead[i] - behind[i]) / (2 * h)
-            else:
-                for i in range(n):
-                    J[k, i] = (ahead[i] - errors[i]) / h
+            step[k] = -h
+            _moved(R, t, center, step, R2, t2)
+            loss(vertices, faces, closed, R2, t2, e, drawn, behind)
+            for i in range(n):
+                J[k, i] = (ahead[i] - behind[i]) / (2 * h)
         A, g = J @ J.T, J @ errors
         better = False
         for _ in range(4):

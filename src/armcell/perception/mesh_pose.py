@@ -31,18 +31,18 @@ Triangles = tuple[F64, Faces, bool]
 
 COARSE_PIXELS, FINE_PIXELS = 2500, 8000
 """Maximum numbers of pixels of each camera for the search and for the final comparison."""
-_COARSE_FACES, _FINE_FACES = 600, 6000
+_COARSE_FACES, _MEDIUM_FACES, _FINE_FACES = 600, 3000, 6000
 _YAWS = 36
 _APART = np.deg2rad(10.0)  # [rad] resting sides that are closer are one start
 _MOST_SIDES = 40
 _MOST_SYMMETRIES = 60
 _DIRECTIONS = 120  # in which the outermost points of a mesh show its outline
-_SEARCHED, _REFINED = 12, 8  # candidates of each kind with few triangles, and candidates with all of them
+_SEARCHED, _REFINED = 12, 8  # candidates of each kind with few triangles, and candidates with more of them
 _NUDGE = np.deg2rad(15.0)  # [rad] rotation after which the evidence must pull the mesh back
 _SLIDE = 0.06  # shift along the longest axis of inertia, relative to the diameter, likewise
 _START_APART = 0.3  # [rad] angle between candidates of one kind
 _FEW, _SOME = (60, 0), (80, 20)  # points and rays that rank the starts, and that move them
-_HOPEFUL = 1.6  # maximum loss of candidates, relative to the best, that are refined with all triangles
+_HOPEFUL = 1.6  # maximum loss of candidates, relative to the best, that are refined with more triangles
 _PROMISING = 1.4  # the same ratio after a few iterations
 _LEFT = 1.2  # the same ratio of candidates that are refined on the fine evidence
 _SAMPLES, _SURFACE = 1000, 40_000  # points with which two poses are compared, and points of the surface
@@ -59,6 +59,7 @@ class KnownMesh:
 
     solid: Solid
     coarse: Triangles
+    medium: Triangles
     fine: Triangles
     corners: F64  # (n, 3) outermost points
     ups: F64  # (k, 3) upward directions on the resting sides
@@ -143,6 +144,7 @@ def known_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> KnownMesh:
     return KnownMesh(
         solid=solid_of(shapes),
         coarse=_few(mesh.vertices, mesh.faces, _COARSE_FACES, closed),
+        medium=_few(mesh.vertices, mesh.faces, _MEDIUM_FACES, closed),
         fine=_few(mesh.vertices, mesh.faces, _FINE_FACES, closed),
         corners=corners,
         ups=ups[:_MOST_SIDES],
@@ -194,18 +196,18 @@ def search(e: DepthEvidence, points: CameraEvidence, mesh: KnownMesh) -> list[Ca
     some = points.thinned(*_SOME)
     chosen += [fit_solid(some, mesh.solid, SLIDING, np.zeros(3), starts[i], 6).T for i in _leading(near, Rs)]
     pixel = _pixel(e)
-    first = [_refined(e, mesh, mesh.coarse, T, pixel, 4, False) for T in chosen]
+    first = [_refined(e, mesh, mesh.coarse, T, pixel, 4) for T in chosen]
     first = _distinct(sorted(first, key=lambda c: c.loss), mesh)
-    moved = [_refined(e, mesh, mesh.coarse, c.T, pixel, 4, False).T for c in first[:_SEARCHED]]
+    moved = [_refined(e, mesh, mesh.coarse, c.T, pixel, 4).T for c in first[:_SEARCHED]]
     exact = _distinct(_by_loss(e, mesh, moved), mesh)
     hopeful = [c.T for c in exact[:_REFINED] if c.loss <= _HOPEFUL * exact[0].loss + 3.0]
     return _promising(e, mesh, hopeful, [])
 
 
 def _by_loss(e: DepthEvidence, mesh: KnownMesh, poses: list[SE3]) -> list[Candidate]:
-    """Return poses of a mesh with the loss of all of its triangles, best first."""
+    """Return poses of a mesh with their losses on coarse evidence, best first."""
     Rs, ts = np.array([T.rotation.matrix for T in poses]), np.array([T.translation for T in poses])
-    found = zip(poses, D.losses(*mesh.fine, Rs, ts, e), strict=True)
+    found = zip(poses, D.losses(*mesh.medium, Rs, ts, e), strict=True)
     return sorted((Candidate(T, float(x)) for T, x in found), key=lambda c: c.loss)
 
 
@@ -229,10 +231,10 @@ def _promising(
     """Refine poses of a mesh, and return them with the known ones, best first. Most poses are soon hopeless,
     or on their way to the same pose as another one.
     """
-    begun = [_refined(e, mesh, mesh.fine, T, _pixel(e), 3, False) for T in tried]
+    begun = [_refined(e, mesh, mesh.medium, T, _pixel(e), 3) for T in tried]
     every = _distinct(sorted(known + begun, key=lambda c: c.loss), mesh)
     hopeful = [c for c in every if c in begun and c.loss <= _PROMISING * every[0].loss]
-    refined = [_refined(e, mesh, mesh.fine, c.T, _pixel(e), 6) for c in hopeful]
+    refined = [_refined(e, mesh, mesh.medium, c.T, _pixel(e), 6) for c in hopeful]
     return _distinct(sorted(known + refined, key=lambda c: c.loss), mesh)
 
 
@@ -272,11 +274,10 @@ def pixel_errors(e: DepthEvidence, mesh: KnownMesh, T: SE3) -> tuple[F64, NDArra
 
 
 def _refined(
-    e: DepthEvidence, mesh: KnownMesh, triangles: Triangles, T: SE3, pixel: float, iterations: int,
-    central: bool = True,
-) -> Candidate:  # fmt: skip
+    e: DepthEvidence, mesh: KnownMesh, triangles: Triangles, T: SE3, pixel: float, iterations: int
+) -> Candidate:
     R, t, loss = D.refine(
-        *triangles, mesh.center, mesh.radius, T.rotation.matrix, T.translation, e, pixel, iterations, central
+        *triangles, mesh.center, mesh.radius, T.rotation.matrix, T.translation, e, pixel, iterations
     )
     u, _, v = np.linalg.svd(R)
     return Candidate(SE3(SO3(u @ v), t), float(loss))
