@@ -14,7 +14,7 @@ from armcell.core import SE3, SO3, Box, CameraImage, ErrorCode, Mesh
 from armcell.model import load_robot
 from armcell.perception import depth_render as D
 from armcell.perception import look, pose_error
-from armcell.perception.mesh_pose import known_mesh
+from armcell.perception.mesh_pose import known_mesh, start_poses
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import Camera, DepthNoise, SimWorld, look_at, take_image
 
@@ -162,6 +162,29 @@ def test_a_mesh_that_forms_several_clusters_is_one_object():
     assert sight.ok and len(sight.objects) == 1, sight.message
     position, angle = pose_error(item.shapes, pose, item.T_world_object)
     assert position < 0.002 and np.rad2deg(angle) < 2.0
+
+
+def test_the_corner_of_a_mesh_starts_the_search():
+    """The cluster is the upper half of the mesh in the image: the center of the outline is elsewhere."""
+    item, _, (image,) = seen(bracket(0.16), SE3.from_xyz(0.6, 0, 0), ABOVE, noise=DepthNoise())
+    assert image.depth is not None
+    known = known_mesh(item.shapes)
+    T_camera = image.T_world_camera.inverse()
+    kinds = np.full(image.depth.shape, D.FREE, np.uint8)
+    every = D.cut_out(image.depth, np.full_like(kinds, D.OWN), image.pinhole, T_camera, 0.003, 0, 10**6)
+    drawn = np.empty(len(every.depth))
+    D.draw(*known.fine, item.T_world_object.rotation.matrix, item.T_world_object.translation, every, drawn)
+    shown = np.isfinite(drawn).reshape(kinds.shape)
+    shown[int(np.flatnonzero(shown.any(axis=1)).mean()) :] = False
+    kinds[shown] = D.OWN
+    e = D.cut_out(image.depth, kinds, image.pinhole, T_camera, 0.003, 8, 10**6)
+
+    def nearest(partly: bool) -> float:
+        poses = [SE3(SO3(R), t) for R, t in zip(*start_poses(e, known, partly), strict=True)]
+        away = [item.T_world_object.distance_to(T) for T in poses]
+        return min(position for position, angle in away if angle < np.deg2rad(6))
+
+    assert nearest(False) > 0.03 and nearest(True) < 0.005
 
 
 @pytest.mark.slow

@@ -146,18 +146,23 @@ def is_primitive(shapes: tuple[tuple[Shape, SE3], ...]) -> bool:
 
 
 def rough_mesh_match(
-    e: DepthEvidence, points: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], span: float
+    e: DepthEvidence,
+    points: CameraEvidence,
+    shapes: tuple[tuple[Shape, SE3], ...],
+    span: float,
+    partly: bool = False,
 ) -> Match | None:
     """Estimate a rough pose of a known object whose shape is a mesh, from coarse evidence. Return None if
     the object's size does not match.
 
     Args:
         span: [m] largest extent of the cluster.
+        partly: whether the cluster may be only a corner of the mesh.
     """
     mesh = known_mesh(shapes)
     if span > mesh.diameter + 4 * e.scale:
         return None
-    found = mesh_pose.search(e, points, mesh)
+    found = mesh_pose.search(e, points, mesh, partly)
     errors, near = mesh_pose.pixel_errors(e, mesh, found[0].T)
     return Match(found[0].T, _mean_loss(errors, near), np.inf, candidates=tuple(found))
 

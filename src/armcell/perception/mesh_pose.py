@@ -182,13 +182,18 @@ class Candidate:
     loss: float
 
 
-def search(e: DepthEvidence, points: CameraEvidence, mesh: KnownMesh) -> list[Candidate]:
+def search(
+    e: DepthEvidence, points: CameraEvidence, mesh: KnownMesh, partly: bool = False
+) -> list[Candidate]:
     """Return candidate poses of a mesh, best first, from coarse evidence.
 
     Half of the candidates are the starts with the lowest loss of rendered depth. The other half are the
     starts nearest to the points, moved onto the points first: thin walls overlap their image only there.
+
+    Args:
+        partly: whether the cluster may be only a corner of the mesh.
     """
-    Rs, ts = _starts(e, mesh)
+    Rs, ts = start_poses(e, mesh, partly)
     starts = [SE3(SO3(R), t) for R, t in zip(Rs, ts, strict=True)]
     few = points.thinned(*_FEW)
     chosen = [starts[i] for i in _leading(D.losses(*mesh.coarse, Rs, ts, e), Rs)]
@@ -299,23 +304,31 @@ def _pixel(e: DepthEvidence) -> float:
     return float(np.median(own)) / float(e.cameras[:, 0].max())
 
 
-def _starts(e: DepthEvidence, mesh: KnownMesh) -> tuple[F64, F64]:
-    """Return start poses Rs (k, 3, 3), ts (k, 3) for the fit of a mesh: each resting side at each yaw. In the
-    first image, the center of the mesh's outline coincides with the center of the point cluster.
+def start_poses(e: DepthEvidence, mesh: KnownMesh, partly: bool) -> tuple[F64, F64]:
+    """Return start poses Rs (k, 3, 3), ts (k, 3) for the fit of a mesh: each resting side at each yaw.
+
+    In the first image, the center of the mesh's outline coincides with the center of the point cluster. If
+    the cluster is only a part of the object, each corner of the outline coincides with that of the cluster.
     """
     R, turned = mesh.rests
+    _, h, w = e.sizes[0]
+    own = np.nonzero(e.kinds[: h * w].reshape(h, w) == D.OWN)
+    low, high = np.array([[i.min(), i.max()] for i in own[::-1]], float).T
+    corners = np.zeros((1, 2))
+    if partly:
+        corners = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)]) / 2
+        R, turned = np.tile(R, (4, 1, 1)), np.tile(turned, (4, 1, 1))
+    corners = np.repeat(corners, len(R) // len(corners), axis=0)
     ts = np.zeros((len(R), 3))
     ts[:, 2] = -turned[:, :, 2].min(axis=1)
     ts[:, :2] = -(turned[:, :, :2].min(axis=1) + turned[:, :, :2].max(axis=1)) / 2
-    _, h, w = e.sizes[0]
-    own = np.nonzero(e.kinds[: h * w].reshape(h, w) == D.OWN)
-    wanted = np.array([(own[1].min() + own[1].max()) / 2, (own[0].min() + own[0].max()) / 2])
     c = e.cameras[0]
     M, p = c[4:13].reshape(3, 3), c[13:]
     for _ in range(3):
         seen = (turned + ts[:, None]) @ M.T + p
         uv = c[:2] * seen[..., :2] / seen[..., 2:] + c[2:4]
-        off = wanted - (uv.min(axis=1) + uv.max(axis=1)) / 2
+        first, last = uv.min(axis=1), uv.max(axis=1)
+        off = (low + high - first - last) / 2 + corners * ((last - first) - (high - low))
         # the outline's middle moves with the object in the plane
         z = seen[..., 2].mean(axis=1)
         at = seen.mean(axis=1)

@@ -53,7 +53,7 @@ _OTHER_COLOR = 0.1  # extra cost of a known object with another color, for equal
 _MARGIN = 8  # [px] width of the surroundings of a cluster that are compared with a rendered mesh
 _JOINED = 0.5  # cost factor for ranking a match of several clusters, because it explains more points
 _MOST_JOINED = 12  # maximum number of clusters for which unions are evaluated
-_EXPLAINED = 0.2  # maximum cost of a rough match of a mesh that explains its clusters
+_EXPLAINED = 0.25  # maximum cost of a rough match of a mesh that explains its clusters
 _REFINEMENT = 3.0  # maximum ratio of the costs of a match before and after its refinement
 
 _Part = frozenset[int]
@@ -241,10 +241,10 @@ class _ObjectCluster:
             color = (float(r), float(g), float(b), 1.0)
         return _ObjectCluster(T, evidence, points, min(cuts), color, (joined(coarse), joined(fine)))
 
-    def rough(self, item: CollisionObject) -> Match | None:
+    def rough(self, item: CollisionObject, partly: bool) -> Match | None:
         if is_primitive(item.shapes):
             return rough_match(self.evidence, item.shapes)
-        return rough_mesh_match(self.depths[0], self.evidence, item.shapes, _span(self.points))
+        return rough_mesh_match(self.depths[0], self.evidence, item.shapes, _span(self.points), partly)
 
     def match(self, item: CollisionObject, start: Match) -> Match:
         if is_primitive(item.shapes):
@@ -305,9 +305,19 @@ def _named(
 
     Among equal shapes, the one with the matching color wins. A known object may consist of several clusters
     if parts of it are hidden; a match that explains several clusters is preferred to a similar match of one.
+    A known mesh that is not found is searched again as an object of which the remaining clusters are a part.
     """
-    taken = _assigned(_rough_matches(things, known), things, known, settings, image_has_color)
-    used = frozenset().union(*taken)
+    taken: dict[_Part, tuple[int, Match]] = {}
+    used: _Part = frozenset()
+    for partly in (False, True):
+        named = {k for k, _ in taken.values()}
+        left = [
+            k for k, item in enumerate(known) if k not in named and not (partly and is_primitive(item.shapes))
+        ]
+        free = {part: thing for part, thing in things.items() if not part & used}
+        rough = _rough_matches(free, known, left, partly)
+        taken |= _assigned(rough, things, known, settings, image_has_color)
+        used = frozenset().union(*taken)
     found, counts = [], dict.fromkeys((item.name for item in known), 1)
     for part, thing in things.items():
         if part in taken:
@@ -319,7 +329,7 @@ def _named(
 
 
 def _rough_matches(
-    things: dict[_Part, _ObjectCluster], known: Sequence[CollisionObject]
+    things: dict[_Part, _ObjectCluster], known: Sequence[CollisionObject], wanted: list[int], partly: bool
 ) -> dict[tuple[_Part, int], Match]:
     """Return the rough matches of known objects with clusters and unions of clusters that `look` found.
 
@@ -328,13 +338,14 @@ def _rough_matches(
     """
     rough: dict[tuple[_Part, int], Match] = {}
     for part, thing in sorted(things.items(), key=lambda each: -len(each[1].points)):
-        for k, item in enumerate(known):
+        for k in wanted:
+            item = known[k]
             if not is_primitive(item.shapes) and any(
                 which == k and part & other and match.cost <= _EXPLAINED
                 for (other, which), match in rough.items()
             ):
                 continue
-            match = thing.rough(item)
+            match = thing.rough(item, partly)
             if match is not None and match.cost <= _HOPELESS and _explains_each(match, item, part, things):
                 rough[part, k] = match
     return rough
