@@ -10,11 +10,11 @@ import trimesh
 from tests.perception.scenes import TABLE
 from tests.perception.test_look import bracket
 
-from armcell.core import SE3, SO3, CameraImage, ErrorCode, Mesh
+from armcell.core import SE3, SO3, Box, CameraImage, ErrorCode, Mesh
 from armcell.model import load_robot
 from armcell.perception import depth_render as D
 from armcell.perception import look, pose_error
-from armcell.perception.mesh_pose import known_mesh
+from armcell.perception.mesh_pose import known_mesh, start_poses
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import Camera, DepthNoise, SimWorld, look_at, take_image
 
@@ -41,9 +41,19 @@ def inside_out() -> Any:
     return box
 
 
-def seen(mesh: Mesh, T: SE3, *eyes: tuple[float, float, float], noise: DepthNoise = STEREO):
+def knob() -> Mesh:
+    """A plate on a post, above a long bar: from above, the plate hides the middle of the bar."""
+    boxes = (((0.06, 0.06, 0.012), 0.066), ((0.02, 0.02, 0.05), 0.035), ((0.13, 0.025, 0.014), 0.007))
+    parts = [trimesh.creation.box(size, SE3.from_xyz(0, 0, z).matrix) for size, z in boxes]
+    return as_mesh(trimesh.util.concatenate(parts))
+
+
+def seen(
+    mesh: Mesh, T: SE3, *eyes: tuple[float, float, float], noise: DepthNoise = STEREO,
+    beside: tuple[CollisionObject, ...] = (),
+):  # fmt: skip
     item = CollisionObject.single("thing", mesh, T, movable=True)
-    scene = PlanningScene.of(load_robot("parallel_gripper"), objects=[TABLE, item])
+    scene = PlanningScene.of(load_robot("parallel_gripper"), objects=[TABLE, item, *beside])
     world = SimWorld(scene)
     images = [
         take_image(world, Camera(f"eye{k}", look_at(eye, [0.6, 0, 0.03]), 320, 240, noise=noise))
@@ -144,6 +154,48 @@ def test_a_symmetric_mesh_is_reported_at_the_pose_nearest_to_the_prior():
     position, angle = pose.distance_to(SE3.from_xyz(0.6, 0, 0.05))
     # rotations about the axis are multiples of 15 deg, and the last fit may turn the can between its facets
     assert position < 0.002 and np.rad2deg(angle) < 15.0
+
+
+@pytest.mark.slow
+def test_a_mesh_that_forms_several_clusters_is_one_object():
+    item, sight, pose = found(knob(), SE3(SO3.exp([0, 0, 0.7]), np.array([0.6, 0, 0])), ABOVE)
+    assert sight.ok and len(sight.objects) == 1, sight.message
+    position, angle = pose_error(item.shapes, pose, item.T_world_object)
+    assert position < 0.002 and np.rad2deg(angle) < 2.0
+
+
+def test_the_corner_of_a_mesh_starts_the_search():
+    """The cluster is the upper half of the mesh in the image: the center of the outline is elsewhere."""
+    item, _, (image,) = seen(bracket(0.16), SE3.from_xyz(0.6, 0, 0), ABOVE, noise=DepthNoise())
+    assert image.depth is not None
+    known = known_mesh(item.shapes)
+    T_camera = image.T_world_camera.inverse()
+    kinds = np.full(image.depth.shape, D.FREE, np.uint8)
+    every = D.cut_out(image.depth, np.full_like(kinds, D.OWN), image.pinhole, T_camera, 0.003, 0, 10**6)
+    drawn = np.empty(len(every.depth))
+    D.draw(*known.fine, item.T_world_object.rotation.matrix, item.T_world_object.translation, every, drawn)
+    shown = np.isfinite(drawn).reshape(kinds.shape)
+    shown[int(np.flatnonzero(shown.any(axis=1)).mean()) :] = False
+    kinds[shown] = D.OWN
+    e = D.cut_out(image.depth, kinds, image.pinhole, T_camera, 0.003, 8, 10**6)
+
+    def nearest(partly: bool) -> float:
+        poses = [SE3(SO3(R), t) for R, t in zip(*start_poses(e, known, partly), strict=True)]
+        away = [item.T_world_object.distance_to(T) for T in poses]
+        return min(position for position, angle in away if angle < np.deg2rad(6))
+
+    assert nearest(False) > 0.03 and nearest(True) < 0.005
+
+
+@pytest.mark.slow
+def test_a_mesh_does_not_swallow_its_neighbor():
+    """Both together would have a low cost, for the neighbor has few pixels."""
+    small = CollisionObject.single(
+        "small", Box(0.02, 0.02, 0.02), SE3.from_xyz(0.6, 0.05, 0.01), movable=True
+    )
+    item, scene, images = seen(bracket(0.16), SE3.from_xyz(0.6, 0, 0), FRONT, beside=(small,))
+    sight = look(images, scene, (item.at(SE3.identity()),))
+    assert sight.ok and sight["thing"].known and len(sight.objects) == 2, sight.message
 
 
 def test_the_symmetries_of_meshes():

@@ -241,7 +241,12 @@ def test_decimation_keeps_the_size_and_its_budget():
     sphere = g.trimesh.creation.icosphere(6, 0.2)
     vertices, faces = decimated(sphere.vertices, sphere.faces, 3000)
     assert 500 < len(faces) <= 3000
-    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 0.2, atol=0.01)
+    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 0.2, atol=0.001)
+    box = g.trimesh.creation.box((0.2, 0.1, 0.05))
+    for _ in range(4):
+        box = box.subdivide()
+    vertices, faces = decimated(box.vertices, box.faces, 1000)  # edges and corners remain sharp
+    np.testing.assert_allclose(np.ptp(vertices, axis=0), (0.2, 0.1, 0.05), atol=1e-6)
 
 
 @pytest.mark.slow

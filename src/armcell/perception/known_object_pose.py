@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from armcell.core import SE3, SO3, Box, Cylinder, Shape, Sphere
 from armcell.perception import mesh_pose
 from armcell.perception import solid_fit as F
-from armcell.perception.depth_render import DepthEvidence
+from armcell.perception.depth_render import OWN, DepthEvidence
 from armcell.perception.mesh_pose import Candidate, known_mesh
 from armcell.perception.primitives import POINTS, RAYS, footprint
 from armcell.perception.solid_fit import CameraEvidence, cost_at, fit_solid
@@ -146,23 +146,30 @@ def is_primitive(shapes: tuple[tuple[Shape, SE3], ...]) -> bool:
 
 
 def rough_mesh_match(
-    e: DepthEvidence, points: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], span: float
+    e: DepthEvidence,
+    points: CameraEvidence,
+    shapes: tuple[tuple[Shape, SE3], ...],
+    span: float,
+    partly: bool = False,
 ) -> Match | None:
     """Estimate a rough pose of a known object whose shape is a mesh, from coarse evidence. Return None if
     the object's size does not match.
 
     Args:
         span: [m] largest extent of the cluster.
+        partly: whether the cluster may be only a corner of the mesh.
     """
     mesh = known_mesh(shapes)
     if span > mesh.diameter + 4 * e.scale:
         return None
-    found = mesh_pose.search(e, points, mesh)
+    found = mesh_pose.search(e, points, mesh, partly)
     errors, near = mesh_pose.pixel_errors(e, mesh, found[0].T)
     return Match(found[0].T, _mean_loss(errors, near), np.inf, candidates=tuple(found))
 
 
-def match_mesh(e: DepthEvidence, shapes: tuple[tuple[Shape, SE3], ...], start: Match, prior: SE3) -> Match:
+def match_mesh(
+    coarse: DepthEvidence, e: DepthEvidence, shapes: tuple[tuple[Shape, SE3], ...], start: Match, prior: SE3
+) -> Match:
     """Refine the rough pose of a known object whose shape is a mesh, and find the object's other poses that
     explain the images about as well.
 
@@ -171,7 +178,7 @@ def match_mesh(e: DepthEvidence, shapes: tuple[tuple[Shape, SE3], ...], start: M
             returned.
     """
     mesh = known_mesh(shapes)
-    found = mesh_pose.settle(e, mesh, list(start.candidates))
+    found = mesh_pose.settle(coarse, e, mesh, list(start.candidates))
     errors, near = mesh_pose.pixel_errors(e, mesh, found[0].T)
     others = []
     for other in found[1:]:
@@ -188,6 +195,19 @@ def match_mesh(e: DepthEvidence, shapes: tuple[tuple[Shape, SE3], ...], start: M
     r2 = errors[near][close] ** 2
     rms = float(e.scale * np.sqrt(np.mean(r2 / (1 - r2)))) if len(r2) else np.inf
     return Match(best, _mean_loss(errors, near), rms, tuple(others))
+
+
+def unexplained(
+    e: DepthEvidence, points: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], T: SE3
+) -> float:
+    """Return the mean loss, from 0 to 1, of the points of one cluster for a known object at a given pose.
+    Other pixels and rays do not count.
+    """
+    if is_primitive(shapes):
+        return cost_at(points.thinned(POINTS, 0), solid_of(shapes), T)
+    errors, _ = mesh_pose.pixel_errors(e, known_mesh(shapes), T)
+    own = (e.kinds == OWN) & (e.depth > 0)
+    return float(np.mean(errors[: len(own)][own] ** 2)) if own.any() else 1.0
 
 
 def _surely_worse(errors: F64, than: F64) -> bool:

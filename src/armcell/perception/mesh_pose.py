@@ -19,7 +19,7 @@ from armcell.core import SE3, SO3, Shape
 from armcell.model.assets import decimated
 from armcell.perception import depth_render as D
 from armcell.perception.depth_render import DepthEvidence
-from armcell.perception.solid_fit import FREE, CameraEvidence, cost_at, fit_solid
+from armcell.perception.solid_fit import SLIDING, CameraEvidence, cost_at, fit_solid
 from armcell.perception.solids import Solid, solid_of, surface_mesh
 from armcell.scene import solid_inertia
 from armcell.scene.resting import hull_rests, plane_axes
@@ -31,19 +31,20 @@ Triangles = tuple[F64, Faces, bool]
 
 COARSE_PIXELS, FINE_PIXELS = 2500, 8000
 """Maximum numbers of pixels of each camera for the search and for the final comparison."""
-_COARSE_FACES, _FINE_FACES = 600, 6000
+_COARSE_FACES, _MEDIUM_FACES, _FINE_FACES = 600, 3000, 6000
 _YAWS = 36
 _APART = np.deg2rad(10.0)  # [rad] resting sides that are closer are one start
 _MOST_SIDES = 40
 _MOST_SYMMETRIES = 60
 _DIRECTIONS = 120  # in which the outermost points of a mesh show its outline
-_SEARCHED, _REFINED = 12, 8  # candidates of each kind on the coarse evidence, and candidates on the fine one
+_SEARCHED, _REFINED = 12, 8  # candidates of each kind with few triangles, and candidates with more of them
 _NUDGE = np.deg2rad(15.0)  # [rad] rotation after which the evidence must pull the mesh back
 _SLIDE = 0.06  # shift along the longest axis of inertia, relative to the diameter, likewise
 _START_APART = 0.3  # [rad] angle between candidates of one kind
 _FEW, _SOME = (60, 0), (80, 20)  # points and rays that rank the starts, and that move them
-_HOPEFUL = 1.6  # maximum loss of candidates, relative to the best, that are refined on the fine evidence
+_HOPEFUL = 1.6  # maximum loss of candidates, relative to the best, that are refined with more triangles
 _PROMISING = 1.4  # the same ratio after a few iterations
+_LEFT = 1.2  # the same ratio of candidates that are refined on the fine evidence
 _SAMPLES, _SURFACE = 1000, 40_000  # points with which two poses are compared, and points of the surface
 _SAME = 0.025  # distance between the surfaces in two equal poses, relative to the object's diameter
 _MOST_SAME = 0.0025  # [m] largest such distance
@@ -58,6 +59,7 @@ class KnownMesh:
 
     solid: Solid
     coarse: Triangles
+    medium: Triangles
     fine: Triangles
     corners: F64  # (n, 3) outermost points
     ups: F64  # (k, 3) upward directions on the resting sides
@@ -142,6 +144,7 @@ def known_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> KnownMesh:
     return KnownMesh(
         solid=solid_of(shapes),
         coarse=_few(mesh.vertices, mesh.faces, _COARSE_FACES, closed),
+        medium=_few(mesh.vertices, mesh.faces, _MEDIUM_FACES, closed),
         fine=_few(mesh.vertices, mesh.faces, _FINE_FACES, closed),
         corners=corners,
         ups=ups[:_MOST_SIDES],
@@ -179,29 +182,38 @@ class Candidate:
     loss: float
 
 
-def search(e: DepthEvidence, points: CameraEvidence, mesh: KnownMesh) -> list[Candidate]:
+def search(
+    e: DepthEvidence, points: CameraEvidence, mesh: KnownMesh, partly: bool = False
+) -> list[Candidate]:
     """Return candidate poses of a mesh, best first, from coarse evidence.
 
     Half of the candidates are the starts with the lowest loss of rendered depth. The other half are the
     starts nearest to the points, moved onto the points first: thin walls overlap their image only there.
+
+    Args:
+        partly: whether the cluster may be only a corner of the mesh.
     """
-    Rs, ts = _starts(e, mesh)
+    Rs, ts = start_poses(e, mesh, partly)
     starts = [SE3(SO3(R), t) for R, t in zip(Rs, ts, strict=True)]
     few = points.thinned(*_FEW)
     chosen = [starts[i] for i in _leading(D.losses(*mesh.coarse, Rs, ts, e), Rs)]
     near = np.array([cost_at(few, mesh.solid, T) for T in starts])
     some = points.thinned(*_SOME)
-    chosen += [fit_solid(some, mesh.solid, FREE, np.zeros(6), starts[i], 6).T for i in _leading(near, Rs)]
+    chosen += [fit_solid(some, mesh.solid, SLIDING, np.zeros(3), starts[i], 6).T for i in _leading(near, Rs)]
     pixel = _pixel(e)
     first = [_refined(e, mesh, mesh.coarse, T, pixel, 4) for T in chosen]
     first = _distinct(sorted(first, key=lambda c: c.loss), mesh)
-    refined = [_refined(e, mesh, mesh.coarse, c.T, pixel, 4).T for c in first[:_SEARCHED]]
-    exact = D.losses(
-        *mesh.fine, np.array([T.rotation.matrix for T in refined]),
-        np.array([T.translation for T in refined]), e,
-    )  # fmt: skip
-    found = [Candidate(T, float(x)) for T, x in zip(refined, exact, strict=True)]
-    return _distinct(sorted(found, key=lambda c: c.loss), mesh)
+    moved = [_refined(e, mesh, mesh.coarse, c.T, pixel, 4).T for c in first[:_SEARCHED]]
+    exact = _distinct(_by_loss(e, mesh, moved), mesh)
+    hopeful = [c.T for c in exact[:_REFINED] if c.loss <= _HOPEFUL * exact[0].loss + 3.0]
+    return _promising(e, mesh, hopeful, [])
+
+
+def _by_loss(e: DepthEvidence, mesh: KnownMesh, poses: list[SE3]) -> list[Candidate]:
+    """Return poses of a mesh with their losses on coarse evidence, best first."""
+    Rs, ts = np.array([T.rotation.matrix for T in poses]), np.array([T.translation for T in poses])
+    found = zip(poses, D.losses(*mesh.medium, Rs, ts, e), strict=True)
+    return sorted((Candidate(T, float(x)) for T, x in found), key=lambda c: c.loss)
 
 
 def _leading(found: F64, Rs: F64) -> list[int]:
@@ -218,34 +230,37 @@ def _leading(found: F64, Rs: F64) -> list[int]:
     return kept
 
 
-def settle(e: DepthEvidence, mesh: KnownMesh, found: list[Candidate]) -> list[Candidate]:
-    """Refine candidate poses of a mesh on fine evidence and return the distinct ones, best first.
+def _promising(
+    e: DepthEvidence, mesh: KnownMesh, tried: list[SE3], known: list[Candidate]
+) -> list[Candidate]:
+    """Refine poses of a mesh, and return them with the known ones, best first. Most poses are soon hopeless,
+    or on their way to the same pose as another one.
+    """
+    begun = [_refined(e, mesh, mesh.medium, T, _pixel(e), 3) for T in tried]
+    every = _distinct(sorted(known + begun, key=lambda c: c.loss), mesh)
+    hopeful = [c for c in every if c in begun and c.loss <= _PROMISING * every[0].loss]
+    refined = [_refined(e, mesh, mesh.medium, c.T, _pixel(e), 6) for c in hopeful]
+    return _distinct(sorted(known + refined, key=lambda c: c.loss), mesh)
+
+
+def settle(
+    coarse: DepthEvidence, fine: DepthEvidence, mesh: KnownMesh, found: list[Candidate]
+) -> list[Candidate]:
+    """Refine the candidate poses that `search` found on coarse evidence, and return the distinct ones with
+    their losses on the fine evidence, best first.
 
     Poses beside the best one are tried, too: if no camera sees the handle of a mug, the mug can be turned; if
     the blade of a knife hardly stands out from the table, the knife may lie farther along its length.
     """
-    hopeful = [c for c in found if c.loss <= _HOPEFUL * found[0].loss + 3.0]
-    settled = _settled(e, mesh, hopeful[:_REFINED], [])
-    best = settled[0].T
+    best = found[0]
     about = [SO3.exp(sign * _NUDGE * axis) for axis in mesh.axes.T for sign in (1, -1)]
     moves = [SE3(turn, mesh.middle - turn.matrix @ mesh.middle) for turn in about]
     moves += [SE3.from_xyz(*(sign * _SLIDE * mesh.diameter * mesh.axes[:, 2])) for sign in (1, -1)]
-    beside = (best @ move for move in moves)
-    nudged = [Candidate(T, settled[0].loss) for T in beside if not mesh.same(best, T)]
-    return _settled(e, mesh, nudged, settled)
-
-
-def _settled(
-    e: DepthEvidence, mesh: KnownMesh, found: list[Candidate], known: list[Candidate]
-) -> list[Candidate]:
-    """Refine candidate poses of a mesh, and return them with the known ones, best first. Most candidates are
-    soon hopeless, or on their way to the same pose as another one.
-    """
-    tried = [_refined(e, mesh, mesh.fine, c.T, _pixel(e), 3) for c in found]
-    every = _distinct(sorted(known + tried, key=lambda c: c.loss), mesh)
-    hopeful = [c for c in every if c in tried and c.loss <= _PROMISING * every[0].loss]
-    refined = [_refined(e, mesh, mesh.fine, c.T, _pixel(e), 6) for c in hopeful]
-    return _distinct(sorted(known + refined, key=lambda c: c.loss), mesh)
+    beside = [T for T in (best.T @ move for move in moves) if not mesh.same(best.T, T)]
+    every = _promising(coarse, mesh, beside, found)
+    left = [c.T for c in every if c.loss <= _LEFT * every[0].loss]
+    refined = [_refined(fine, mesh, mesh.fine, T, _pixel(fine), 6) for T in left]
+    return _distinct(sorted(refined, key=lambda c: c.loss), mesh)
 
 
 def refit(e: DepthEvidence, mesh: KnownMesh, T: SE3) -> SE3:
@@ -289,23 +304,31 @@ def _pixel(e: DepthEvidence) -> float:
     return float(np.median(own)) / float(e.cameras[:, 0].max())
 
 
-def _starts(e: DepthEvidence, mesh: KnownMesh) -> tuple[F64, F64]:
-    """Return start poses Rs (k, 3, 3), ts (k, 3) for the fit of a mesh: each resting side at each yaw. In the
-    first image, the center of the mesh's outline coincides with the center of the point cluster.
+def start_poses(e: DepthEvidence, mesh: KnownMesh, partly: bool) -> tuple[F64, F64]:
+    """Return start poses Rs (k, 3, 3), ts (k, 3) for the fit of a mesh: each resting side at each yaw.
+
+    In the first image, the center of the mesh's outline coincides with the center of the point cluster. If
+    the cluster is only a part of the object, each corner of the outline coincides with that of the cluster.
     """
     R, turned = mesh.rests
+    _, h, w = e.sizes[0]
+    own = np.nonzero(e.kinds[: h * w].reshape(h, w) == D.OWN)
+    low, high = np.array([[i.min(), i.max()] for i in own[::-1]], float).T
+    corners = np.zeros((1, 2))
+    if partly:
+        corners = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)]) / 2
+        R, turned = np.tile(R, (4, 1, 1)), np.tile(turned, (4, 1, 1))
+    corners = np.repeat(corners, len(R) // len(corners), axis=0)
     ts = np.zeros((len(R), 3))
     ts[:, 2] = -turned[:, :, 2].min(axis=1)
     ts[:, :2] = -(turned[:, :, :2].min(axis=1) + turned[:, :, :2].max(axis=1)) / 2
-    _, h, w = e.sizes[0]
-    own = np.nonzero(e.kinds[: h * w].reshape(h, w) == D.OWN)
-    wanted = np.array([(own[1].min() + own[1].max()) / 2, (own[0].min() + own[0].max()) / 2])
     c = e.cameras[0]
     M, p = c[4:13].reshape(3, 3), c[13:]
     for _ in range(3):
         seen = (turned + ts[:, None]) @ M.T + p
         uv = c[:2] * seen[..., :2] / seen[..., 2:] + c[2:4]
-        off = wanted - (uv.min(axis=1) + uv.max(axis=1)) / 2
+        first, last = uv.min(axis=1), uv.max(axis=1)
+        off = (low + high - first - last) / 2 + corners * ((last - first) - (high - low))
         # the outline's middle moves with the object in the plane
         z = seen[..., 2].mean(axis=1)
         at = seen.mean(axis=1)

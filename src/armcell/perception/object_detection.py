@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from heapq import heappop, heappush
 from itertools import combinations
 
 import numpy as np
@@ -37,6 +38,7 @@ from armcell.perception.known_object_pose import (
     match_mesh,
     rough_match,
     rough_mesh_match,
+    unexplained,
 )
 from armcell.perception.mesh_pose import COARSE_PIXELS, FINE_PIXELS
 from armcell.perception.primitives import fit_primitives
@@ -46,14 +48,16 @@ from armcell.perception.solids import solid_of
 from armcell.scene import CollisionObject, PlanningScene
 
 F64 = NDArray[np.float64]
-_HOPELESS = 0.75  # maximum cost of a rough match that is refined
+_HOPELESS = 0.75  # maximum cost of a rough match that is refined, and of each of the clusters of a union
 _OTHER_COLOR = 0.1  # extra cost of a known object with another color, for equal shapes
 _MARGIN = 8  # [px] width of the surroundings of a cluster that are compared with a rendered mesh
-_JOINED = 0.5  # cost factor for ranking a match of two clusters, because it explains more points
-_MOST_JOINED = 12  # maximum number of clusters for which pairs are evaluated
-_RIVAL = 3.0  # maximum cost ratio to the best match of the same cluster or object
-_EXPLAINED = 0.15  # maximum cost of a match of a mesh; then, of its clusters, only larger unions are tried
-_CLEAR = 0.25  # maximum cost of a rough match of a mesh that is refined at once
+_JOINED = 0.5  # cost factor for ranking a match of several clusters, because it explains more points
+_MOST_JOINED = 12  # maximum number of clusters for which unions are evaluated
+_EXPLAINED = 0.25  # maximum cost of a rough match of a mesh that explains its clusters
+_REFINEMENT = 3.0  # maximum ratio of the costs of a match before and after its refinement
+
+_Part = frozenset[int]
+"""Numbers of the clusters that may be one object."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -172,11 +176,10 @@ def look(
 
     parts = {frozenset({i}): thing(pixels) for i, pixels in enumerate(found)}
     if known and len(found) <= _MOST_JOINED:
-        reach = max(solid_of(item.shapes).diameter for item in known)
-        for i, k in combinations(range(len(found)), 2):
-            both = np.concatenate([parts[frozenset({n})].points for n in (i, k)])
-            if _span(both) <= reach + 4 * scale:
-                parts[frozenset({i, k})] = thing(found[i], found[k])
+        reach = max(solid_of(item.shapes).diameter for item in known) + 4 * scale
+        for some in (*combinations(range(len(found)), 2), *combinations(range(len(found)), 3)):
+            if _span(np.concatenate([parts[frozenset({i})].points for i in some])) <= reach:
+                parts[frozenset(some)] = thing(*(found[i] for i in some))
     objects = _named(parts, known, settings, any(each.rgb is not None for each in images))
     missing = tuple(n for n in _names(known) if n not in {o.name for o in objects})
     return ended(_summary(objects, missing, plane))
@@ -238,16 +241,21 @@ class _ObjectCluster:
             color = (float(r), float(g), float(b), 1.0)
         return _ObjectCluster(T, evidence, points, min(cuts), color, (joined(coarse), joined(fine)))
 
-    def rough(self, item: CollisionObject) -> Match | None:
+    def rough(self, item: CollisionObject, partly: bool) -> Match | None:
         if is_primitive(item.shapes):
             return rough_match(self.evidence, item.shapes)
-        return rough_mesh_match(self.depths[0], self.evidence, item.shapes, _span(self.points))
+        return rough_mesh_match(self.depths[0], self.evidence, item.shapes, _span(self.points), partly)
 
     def match(self, item: CollisionObject, start: Match) -> Match:
         if is_primitive(item.shapes):
             return match_known(self.evidence, item.shapes, start)
         prior = self.T_world_support.inverse() @ item.T_world_object
-        return match_mesh(self.depths[1], item.shapes, start, prior)
+        return match_mesh(*self.depths, item.shapes, start, prior)
+
+    def unexplained(self, item: CollisionObject, T_world_object: SE3) -> float:
+        """Return how much of the cluster a known object at a given pose does not explain, from 0 to 1."""
+        T = self.T_world_support.inverse() @ T_world_object
+        return unexplained(self.depths[0], self.evidence, item.shapes, T)
 
 
 def _beside(
@@ -287,7 +295,7 @@ def _span(points: F64) -> float:
 
 
 def _named(
-    things: dict[frozenset[int], _ObjectCluster],
+    things: dict[_Part, _ObjectCluster],
     known: Sequence[CollisionObject],
     settings: LookSettings,
     image_has_color: bool,
@@ -295,44 +303,21 @@ def _named(
     """Assign the best-matching known object to each cluster that `look` found.
     If none matches, assign a primitive shape.
 
-    Among equal shapes, the one with the matching color wins. A known object may consist of two clusters if
-    its middle is hidden; a match of two clusters is preferred to a similar match of one.
+    Among equal shapes, the one with the matching color wins. A known object may consist of several clusters
+    if parts of it are hidden; a match that explains several clusters is preferred to a similar match of one.
+    A known mesh that is not found is searched again as an object of which the remaining clusters are a part.
     """
-    rough: dict[tuple[frozenset[int], int], Match] = {}
-    fine: dict[tuple[frozenset[int], int], Match] = {}
-
-    def covered(part: frozenset[int], k: int) -> bool:
-        return any(
-            k == which and part & other and not other <= part and match.cost <= _EXPLAINED
-            for (other, which), match in fine.items()
-            if not is_primitive(known[k].shapes)
-        )
-
-    for part, thing in sorted(things.items(), key=lambda each: -len(each[1].points)):
-        for k, item in enumerate(known):
-            match = None if covered(part, k) else thing.rough(item)
-            if match is not None and match.cost <= _HOPELESS:
-                rough[part, k] = match
-                if match.candidates and match.cost <= _CLEAR:
-                    fine[part, k] = thing.match(item, match)
-    offers = []
-    for (part, k), start in sorted(rough.items(), key=lambda each: _rank(each[0][0], each[1].cost)):
-        rivals = [match.cost for (other, which), match in rough.items() if other == part or which == k]
-        if start.cost > _RIVAL * min(rivals) + 0.02 or covered(part, k):
-            continue
-        match = fine.get((part, k)) or things[part].match(known[k], start)
-        fine[part, k] = match
-        if match.cost <= settings.most_cost:
-            rank = _rank(part, match.cost)
-            if image_has_color:
-                rank += _OTHER_COLOR * color_distance(things[part].color, known[k].color)
-            offers.append((rank, sorted(part), k, match))
-    taken: dict[frozenset[int], tuple[int, Match]] = {}
-    used: set[int] = set()
-    for _, part, k, match in sorted(offers, key=lambda offer: offer[:3]):
-        if not used & set(part) and k not in {other for other, _ in taken.values()}:
-            taken[frozenset(part)] = (k, match)
-            used |= set(part)
+    taken: dict[_Part, tuple[int, Match]] = {}
+    used: _Part = frozenset()
+    for partly in (False, True):
+        named = {k for k, _ in taken.values()}
+        left = [
+            k for k, item in enumerate(known) if k not in named and not (partly and is_primitive(item.shapes))
+        ]
+        free = {part: thing for part, thing in things.items() if not part & used}
+        rough = _rough_matches(free, known, left, partly)
+        taken |= _assigned(rough, things, known, settings, image_has_color)
+        used = frozenset().union(*taken)
     found, counts = [], dict.fromkeys((item.name for item in known), 1)
     for part, thing in things.items():
         if part in taken:
@@ -343,8 +328,76 @@ def _named(
     return tuple(sorted(found, key=lambda item: -len(item.points)))
 
 
-def _rank(part: frozenset[int], cost: float) -> float:
-    return cost if len(part) == 1 else cost * _JOINED
+def _rough_matches(
+    things: dict[_Part, _ObjectCluster], known: Sequence[CollisionObject], wanted: list[int], partly: bool
+) -> dict[tuple[_Part, int], Match]:
+    """Return the rough matches of known objects with clusters and unions of clusters that `look` found.
+
+    The largest unions are first: if a mesh explains one, `look` searches no smaller union of its clusters for
+    this mesh.
+    """
+    rough: dict[tuple[_Part, int], Match] = {}
+    for part, thing in sorted(things.items(), key=lambda each: -len(each[1].points)):
+        for k in wanted:
+            item = known[k]
+            if not is_primitive(item.shapes) and any(
+                which == k and part & other and match.cost <= _EXPLAINED
+                for (other, which), match in rough.items()
+            ):
+                continue
+            match = thing.rough(item, partly)
+            if match is not None and match.cost <= _HOPELESS and _explains_each(match, item, part, things):
+                rough[part, k] = match
+    return rough
+
+
+def _explains_each(
+    match: Match, item: CollisionObject, part: _Part, things: dict[_Part, _ObjectCluster]
+) -> bool:
+    """Return whether a match of a known object explains each cluster of a union. If it does not, one of the
+    clusters is another object.
+    """
+    if len(part) == 1:
+        return True
+    T = things[part].T_world_support @ match.T
+    return all(things[frozenset({i})].unexplained(item, T) <= _HOPELESS for i in part)
+
+
+def _assigned(
+    rough: dict[tuple[_Part, int], Match], things: dict[_Part, _ObjectCluster],
+    known: Sequence[CollisionObject], settings: LookSettings, image_has_color: bool,
+) -> dict[_Part, tuple[int, Match]]:  # fmt: skip
+    """Refine matches of known objects, and assign each object to the clusters that it explains best.
+
+    The best match is always next. A rough match counts as if its refinement reduced its cost to a third; next
+    in line, it is refined. A refined match that is next is accepted, and all other matches of its object and
+    of its clusters are dropped.
+    """
+    taken: dict[_Part, tuple[int, Match]] = {}
+    queue: list[tuple[float, list[int], int, bool, Match]] = []
+
+    def put(part: _Part, k: int, refined: bool, match: Match) -> None:
+        rank = match.cost if refined else match.cost / _REFINEMENT
+        if len(part) > 1:
+            rank *= _JOINED
+        if image_has_color:
+            rank += _OTHER_COLOR * color_distance(things[part].color, known[k].color)
+        heappush(queue, (rank, sorted(part), k, refined, match))
+
+    for (part, k), match in rough.items():
+        put(part, k, False, match)
+    while queue:
+        _, numbers, k, refined, match = heappop(queue)
+        part = frozenset(numbers)
+        if any(part & other or k == which for other, (which, _) in taken.items()):
+            continue
+        if refined:
+            taken[part] = (k, match)
+            continue
+        match = things[part].match(known[k], match)
+        if match.cost <= settings.most_cost:
+            put(part, k, True, match)
+    return taken
 
 
 def _recognized(thing: _ObjectCluster, item: CollisionObject, match: Match) -> DetectedObject:
