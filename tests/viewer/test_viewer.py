@@ -32,7 +32,7 @@ from armcell.core import (
 from armcell.core.geometry import local_bounds
 from armcell.kinematics import kinematic_tree
 from armcell.model import installed_robots, load_robot
-from armcell.model.assets import decimated
+from armcell.model.mesh_decimation import decimated
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.viewer import CellViewer
 from armcell.viewer import geometry as g

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3
-from armcell.core.checks import checked, float_array
+from armcell.core.checks import checked, float_array, is_number, require
 from armcell.grasping import hand_fit_kernel
 from armcell.grasping.grasp import LIFT_ACCELERATION, Grasp, PadContact, holding_factor
 from armcell.grasping.hand import Hand
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 EDGES = 8  # edges of the pyramid that approximates a friction cone
 CLOSED = 1e-6  # minimum epsilon for force closure
+MOST_SAMPLES = 100_000  # of a noise
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,15 @@ def _strata(count: int, size: int, rng: np.random.Generator) -> Array:
     hypercube.
 
     With a few independent samples for all grasps of an object, their mean would bias all estimates alike.
+
+    Raises:
+        InputError: `count` is not a whole number from 1 to `MOST_SAMPLES`.
     """
     from scipy.special import ndtri
 
+    is_whole = is_number(count) and count == int(count)
+    require(is_whole and 1 <= count <= MOST_SAMPLES, f"count is {count!r}, not 1 to {MOST_SAMPLES} samples")
+    count = int(count)
     strata = rng.permuted(np.tile(np.arange(count - 1), (size, 1)), axis=1).T
     return np.vstack([np.zeros(size), ndtri((strata + rng.random(strata.shape)) / max(count - 1, 1))])
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.convex_decomposition import evenly_spread
 from armcell.core import SE3, SO3, Shape
-from armcell.model.assets import decimated
+from armcell.model.mesh_decimation import decimated
 from armcell.perception import depth_render as D
 from armcell.perception.depth_render import DepthEvidence
 from armcell.perception.solid_fit import SLIDING, CameraEvidence, cost_at, fit_solid

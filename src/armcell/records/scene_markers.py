@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, Box, Cone, Contact, Cylinder, Mesh, Plane, Shape, Sphere, simpler_parts
 from armcell.model import Link, RobotModel
-from armcell.model.assets import DEFAULT_COLOR, decimated, visual_parts
+from armcell.model.assets import DEFAULT_COLOR, visual_parts
+from armcell.model.mesh_decimation import decimated
 from armcell.scene import WORLD, CollisionObject
 
 Color = tuple[float, ...]  # RGBA, 0..1

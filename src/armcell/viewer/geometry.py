@@ -17,7 +17,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
-from armcell.model.assets import DEFAULT_COLOR, decimated, load_visual_parts
+from armcell.model.assets import DEFAULT_COLOR, load_visual_parts
+from armcell.model.mesh_decimation import decimated
 from armcell.model.robot import Link, Visual
 
 if TYPE_CHECKING:
