@@ -295,8 +295,8 @@ def test_14_prove_a_grasp(printed):
     assert len(rows) == 6 and all(float(low) < float(p) <= float(high) for p, low, high in rows)
     held = [int(n) for n in re.findall(r"N per finger: (\d+) of 12 held", said)]
     assert held[0] >= 11 and held[2] == 0 and held == sorted(held, reverse=True)
-    known = [int(n) for n in re.findall(r"mm: (\d+) of 12 held", said)]
-    assert len(known) == 3 and known[0] >= known[2]
+    known = [float(p) for p in re.findall(r"mm: P\(success\) (\d\.\d\d)", said)]
+    assert len(known) == 3 and known == sorted(known, reverse=True) and known[0] > 0.9 > known[2] + 0.3
 
 
 @pytest.mark.long
