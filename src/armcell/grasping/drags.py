@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, SO3, HeightMap, InputError
+from armcell.core import SE3, SO3, HeightMap
 from armcell.core.checks import checked, require
 from armcell.grasping.grasp import Grasp
 from armcell.grasping.hand import Hand
-from armcell.grasping.pushes import away_from_obstacles, outline_of
+from armcell.grasping.pushes import away_from_obstacles, outline_of, touching_pieces
 
 Array = NDArray[np.float64]
 
@@ -101,17 +101,12 @@ def drags_off_walls(
     Raises:
         InputError: the sizes of map and labels differ.
     """
-    from scipy.ndimage import distance_transform_edt, label
+    from scipy.ndimage import distance_transform_edt
 
-    for name, array in (("labels", labels), ("where", where)):
-        if array.shape != seen.heights.shape:
-            raise InputError(f"{name} of {array.shape} cells for a map of {seen.heights.shape}")
     s = settings
     hidden = where & ~seen.seen  # mostly gaps between a piece and a wall
-    groups, count = label(labels >= 0, np.ones((3, 3)))  # type: ignore[misc]
     found: list[HeapDrag] = []
-    for k in range(1, count + 1):
-        piece = groups == k
+    for piece in touching_pieces(seen, labels, where):
         outline, _, middle, _ = outline_of(seen, piece)
         others = np.where(piece | hidden, floor, seen.heights)
         free = (others <= floor + 0.5 * s.clearance) & where

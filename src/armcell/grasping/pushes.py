@@ -89,11 +89,8 @@ def pushes_off_walls(
     Raises:
         InputError: the sizes of map and labels differ.
     """
-    from scipy.ndimage import distance_transform_edt, label
+    from scipy.ndimage import distance_transform_edt
 
-    for name, array in (("labels", labels), ("where", where)):
-        if array.shape != seen.heights.shape:
-            raise InputError(f"{name} of {array.shape} cells for a map of {seen.heights.shape}")
     s = settings
     fingers = np.concatenate([hand.left, hand.right])
     tip_z = float(fingers[:, 5].max())
@@ -101,10 +98,8 @@ def pushes_off_walls(
     wide = np.abs(fingers[:, [0, 3]]).max(), np.abs(fingers[:, [1, 4]]).max() + CLOSED / 2
     palm = np.abs(hand.palm[:, [0, 3]]).max(), np.abs(hand.palm[:, [1, 4]]).max()
     tool = np.array([*wide, *palm, s.room])
-    groups, count = label(labels >= 0, np.ones((3, 3)))  # type: ignore[misc]
     found: list[HeapPush] = []
-    for k in range(1, count + 1):
-        piece = groups == k
+    for k, piece in enumerate(touching_pieces(seen, labels, where)):
         outline, inward, middle, radius = outline_of(seen, piece)
         if len(outline) < 3:
             continue
@@ -127,7 +122,7 @@ def pushes_off_walls(
         for i in np.flatnonzero(rows[:, 1] >= s.least_gain):
             (x, y), along, distance = starts[i], alongs[i], float(rows[i, 0])
             turn = float(np.arctan2(along[1], along[0]))
-            name = f"push piece {k - 1} by {1000 * distance:.0f} mm at {np.rad2deg(turn):.0f} deg"
+            name = f"push piece {k} by {1000 * distance:.0f} mm at {np.rad2deg(turn):.0f} deg"
             offset = (float(distance * along[0]), float(distance * along[1]), 0.0)
             tried = any(np.hypot(x - a, y - b) < 0.01 and np.cos(turn - angle) > 0.9 for a, b, angle in avoid)
             found.append(
@@ -139,6 +134,23 @@ def pushes_off_walls(
             )  # fmt: skip
     found.sort(key=lambda push: -push.score)
     return found[: s.kept]
+
+
+def touching_pieces(
+    seen: HeightMap, labels: NDArray[np.int64], where: NDArray[np.bool_]
+) -> list[NDArray[np.bool_]]:
+    """Return the cells (nx, ny) of each piece, for pushes and drags. Pieces that touch count as one.
+
+    Raises:
+        InputError: the sizes of map, labels and `where` differ.
+    """
+    from scipy.ndimage import label
+
+    for name, array in (("labels", labels), ("where", where)):
+        if array.shape != seen.heights.shape:
+            raise InputError(f"{name} of {array.shape} cells for a map of {seen.heights.shape}")
+    groups, count = label(labels >= 0, np.ones((3, 3)))  # type: ignore[misc]
+    return [groups == k for k in range(1, count + 1)]
 
 
 def outline_of(seen: HeightMap, piece: NDArray[np.bool_]) -> tuple[Array, Array, Array, float]:

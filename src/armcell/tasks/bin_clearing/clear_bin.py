@@ -333,12 +333,10 @@ class _BinClearing:
         return outcome
 
     def _is_over_tray(self) -> bool:
-        """Return whether the hand of `clear_bin` holds an object over the tray."""
-        scene, gripper = self.ctx.scene(), self.gripper
-        at = scene.frame_pose(gripper.tcp_link).translation[:2].tolist()
+        """Return whether the hand of `clear_bin` is over the tray."""
+        at = self.ctx.scene().frame_pose(self.gripper.tcp_link).translation[:2].tolist()
         low, high = self._tray.rectangle
-        over = all(a < x < b for a, x, b in zip(low, at, high, strict=True))
-        return over and holds(self.ctx.driver.gripper(gripper.name))
+        return all(a < x < b for a, x, b in zip(low, at, high, strict=True))
 
     def _let_go(self, grasp: HeapGrasp, outcome: Outcome) -> None:
         """Let `clear_bin` release an object that did not get into the tray. A canceled task keeps it."""
