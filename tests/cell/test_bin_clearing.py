@@ -256,6 +256,20 @@ def test_without_pushes_a_bar_beside_a_wall_stays():
         assert outcome.evidence["pushes"] == outcome.evidence["picks"] == 0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("tilts", [(), BinClearingSettings().tilts], ids=["vertical", "slanted"])
+def test_a_block_between_tall_walls_is_picked_along_a_slanted_approach(tilts):
+    """Beside walls of 120 mm there is no room for the palm above the fingers."""
+    data = with_bar((0.531, -0.106, 0.2465), (0.04, 0.04, 0.05)).spec.model_dump(exclude_unset=True)
+    data["objects"]["bin"]["sizes"]["height"] = 0.12
+    with Cell("deep", whole().file, validated(data, whole().file)).connect("sim", seed=0) as live:
+        settings = BinClearingSettings(tilts=tilts, most_pushes=0, most_misses=1)
+        outcome = live.clear("bin", **CALL, settings=settings)
+        assert outcome.ok == bool(tilts), outcome.message
+        assert outcome.evidence["cleared"] == len(tilts[:1])
+        assert not live.driver.unwanted_contacts()
+
+
 @pytest.mark.long
 def test_after_a_miss_the_other_piece_is_picked_first():
     with two_things().connect("sim", seed=0) as live:

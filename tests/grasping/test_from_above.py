@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.ndimage import minimum_filter
 
 from armcell.core import HeightMap, InputError
 from armcell.grasping import TopDownGraspSettings, hand_of, top_down_grasps
@@ -132,9 +135,48 @@ def test_fingers_do_not_hold_only_the_top_of_a_tall_piece():
     assert len(top_down_grasps(seen, np.where(labels == 0, 0, -1), 0.0, HAND, 20.0, settings)) > len(firm)
 
 
+def beside_tall_walls():
+    """A map with a block in a corner between two walls that are taller than the fingers are long."""
+    boxes = (0.25, 0.25, 0.04, 0.04, 0.0, 0.05), (0.25, 0.282, 0.4, 0.02, 0.0, 0.15)
+    seen, labels = with_boxes(*boxes, (0.195, 0.25, 0.02, 0.4, 0.0, 0.15))
+    labels[labels > 0] = -1
+    return seen, labels
+
+
+def parts_of_open_hand(grasp):
+    """Points (n, 3) on and in the fingers and the palm of the open hand, in the tcp frame."""
+    aside = np.array([0.0, grasp.opening / 2, 0.0] * 2)
+    boxes = [*HAND.palm, *(HAND.left + aside), *(HAND.right - aside)]
+    steps = np.linspace(0.0, 1.0, 25)
+    unit = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(-1, 3)
+    return np.vstack([b[:3] + unit * (b[3:] - b[:3]) for b in boxes])
+
+
+@pytest.mark.parametrize("tilt", [0.52, 0.7])
+def test_a_slanted_hand_reaches_between_tall_walls_and_touches_nothing(tilt):
+    seen, labels = beside_tall_walls()
+    settings = TopDownGraspSettings(room=0.0045, tilt=tilt)
+    assert top_down_grasps(seen, labels, 0.0, HAND, 20.0, replace(settings, tilt=0.0)) == []
+    found = top_down_grasps(seen, labels, 0.0, HAND, 20.0, settings)
+    assert found
+    lowest = minimum_filter(seen.heights, size=3)  # a point may be in the next cell
+    for grasp in found:
+        T = grasp.T_object_tcp
+        np.testing.assert_allclose(T.rotation.matrix[2, 2], -np.cos(tilt), atol=1e-9)
+        hand = parts_of_open_hand(grasp)
+        for back in np.linspace(0.0, 0.1, 21):
+            at = T.apply(hand - (0.0, 0.0, back))
+            cells = np.round(at[:, :2] / CELL).astype(int).clip(0, np.array(seen.heights.shape) - 1)
+            assert (at[:, 2] > lowest[cells[:, 0], cells[:, 1]]).all()
+        assert T.apply(hand)[:, 2].min() == pytest.approx(grasp.tip, abs=1e-9)
+        middle = T.apply((0.0, 0.0, TIPS))
+        assert np.linalg.norm(middle[:2] - 0.25) < 0.03 and 0.0 < middle[2] < 0.05
+
+
 def test_bad_input_is_said():
     seen, labels = with_boxes((0.25, 0.25, 0.05, 0.04, 0.0, 0.05))
     with pytest.raises(InputError, match="labels"):
         top_down_grasps(seen, labels[1:], 0.0, HAND, 20.0)
-    with pytest.raises(InputError, match="room"):
-        TopDownGraspSettings(room=0.0)
+    for name, value in {"room": 0.0, "tilt": 1.6, "tilt_directions": 0}.items():
+        with pytest.raises(InputError, match=name):
+            TopDownGraspSettings(**{name: value})

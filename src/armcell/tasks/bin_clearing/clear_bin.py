@@ -51,6 +51,7 @@ from armcell.tasks.steps import CommandGripper, Step, perform_all
 from armcell.tasks.task import plan_stages
 
 LIFTED = 0.02  # [m] of a lift that a retreat does not finish
+STEEP = 0.010  # [m] height of a side within 9 mm (three cells) that fingers along a slanted approach hold
 _FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, ErrorCode.FAILURE)
 
 
@@ -407,15 +408,16 @@ class _PickFromHeap(Pick):
         full margin around the hand.
 
         Candidates with smaller margins follow if no better candidate is reachable, or if the better ones
-        resemble failed grasps. As a last resort, candidates that hold only the top of a piece follow. In an
-        old view, only candidates with the full margin count.
+        resemble failed grasps; then those along slanted approaches. As a last resort, candidates that hold
+        only the top of a piece follow. In an old view, only candidates with the full margin count.
         """
         clearing, here = self._clearing, self._here
         s, hand = clearing.settings, hand_of(clearing.ctx.base.model, clearing.gripper)
         failed: list[HeapGrasp] = []
         closest = _closer(s.grasps, 3)
+        slanted = tuple(_slanted(s.grasps, tilt) for tilt in s.tilts)
         last = (replace(closest, least_grip=0.0),) if self._any_grasp else ()
-        closer = () if here.is_old else (_closer(s.grasps, 2), closest, *last)
+        closer = () if here.is_old else (_closer(s.grasps, 2), closest, *slanted, *last)
         for how in (s.grasps, *closer):
             grasps = failed + top_down_grasps(
                 here.map, here.labels, here.region.floor, hand, s.force, how, clearing.counts.avoid
@@ -451,3 +453,11 @@ def _closer(settings: TopDownGraspSettings, times: int) -> TopDownGraspSettings:
         least_touch=settings.least_touch / 2,
         least_hold=settings.least_hold / times,
     )
+
+
+def _slanted(settings: TopDownGraspSettings, tilt: float) -> TopDownGraspSettings:
+    """Return the settings for approaches that lean by `tilt` [rad].
+
+    Along them, the edge of a plate looks like a ridge, from whose slopes the fingers would slip.
+    """
+    return replace(settings, room=settings.room / 2, least_hold=STEEP, tilt=tilt)

@@ -36,6 +36,7 @@ class BinClearingSettings:
     thinnest: float = 0.0005  # fingers closer together hold sheet metal or nothing: the force decides
     max_age: float = 0.5  # [s] maximum age of an image
     grasps: TopDownGraspSettings = TopDownGraspSettings()
+    tilts: tuple[float, ...] = (0.26, 0.52, 0.70)  # [rad] of approaches, if no vertical one is possible
     push: Speed = Speed(0.15, 0.2)  # speed of pushes off a wall
     push_force: float = 40.0  # [N] on the hand, at which a push ends
     pushes: PushSettings = PushSettings()

@@ -89,7 +89,7 @@ class CloseOnHeap:
             return
         held = held_object(self.gripper)
         bottom = self.floor + 0.002
-        T_tcp_box = SE3.from_xyz(0.0, 0.0, _below_tcp(grasp, (grasp.top + bottom) / 2))
+        T_tcp_box = _upright_between_fingers(grasp.T_object_tcp, (grasp.top + bottom) / 2)
         half = min(grasp.reach, WIDEST)
         box = Box(2 * half, max(grasp.width, 0.004), max(grasp.top - bottom, 0.004))
         scene = solution.scene.with_state(finger_state(self.gripper, grasp.width))
@@ -102,9 +102,13 @@ class CloseOnHeap:
         )
 
 
-def _below_tcp(grasp: HeapGrasp, z: float) -> float:
-    """Return the vertical distance [m] from the world height `z` up to the TCP at a bin-clearing grasp."""
-    return float(grasp.T_object_tcp.translation[2]) - z
+def _upright_between_fingers(T_world_tcp: SE3, z: float) -> SE3:
+    """Return the pose in the TCP frame of an upright box between the fingers at a bin-clearing grasp, whose
+    middle is at the world height `z` [m] and whose y axis is along the closing direction.
+    """
+    at, y = T_world_tcp.translation, T_world_tcp.rotation.matrix[:, 1]
+    upright = SE3(SO3.exp((0.0, 0.0, float(np.arctan2(-y[0], y[1])))), np.array([at[0], at[1], z]))
+    return T_world_tcp.inverse() @ upright
 
 
 @stage_types.register("choose_release_point")
