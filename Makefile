@@ -130,7 +130,7 @@ bench-grasp: $(VENV)/.stamp ## set up, then pick 67 objects with two robots, als
 	$(PY) -m benchmarks.grasp_probability --robot ur10_gripper --factors 5 8 --count 12; ur10=$$?; \
 	$(PY) -m benchmarks.solid_regions; solid=$$?; \
 	$(PY) -m benchmarks.mesh_poses; seen=$$?; \
-	$(PY) -m benchmarks.bins; bins=$$?; \
+	$(PY) -m benchmarks.bins --half "held out"; bins=$$?; \
 	$(PY) -m benchmarks.holding --runs $(or $(RUNS),10) && exit $$((grasped | wrong | panda | ur10 | solid | seen | bins))
 
 clean: ## remove the environment, builds and caches (runs/ stays)

@@ -2,6 +2,7 @@
 
     python -m benchmarks.bins --seeds 20 --counts 12 20 --arms 1 2
     python -m benchmarks.bins --meshes FOLDER         # other objects: all meshes of a folder, at true scale
+    python -m benchmarks.bins --wall 0.12 --arms 1    # a bin with other walls
 
 Each bin holds objects of the grasp benchmark (`grasp_objects`) that are graspable on their three most
 stable sides, drawn at random and dropped in physics. The cells are `bin_clearing` (one arm) and
@@ -87,12 +88,18 @@ def fits(file: Path, cell: armcell.Cell) -> bool:
     return all(not grasp_objects.graspable(item.at(T), cell.model, gripper, pad) for T in sides_down)
 
 
-def cell_with(files: Sequence[Path], folder: Path, arms: int = 1) -> armcell.Cell:
-    """Write the cell for this number of arms with an object for each of the given meshes, and load it."""
+def cell_with(files: Sequence[Path], folder: Path, arms: int = 1, wall: float | None = None) -> armcell.Cell:
+    """Write the cell for this number of arms with an object for each of the given meshes, and load it.
+
+    Args:
+        wall: [m] height of the bin's walls; None: the cell's own.
+    """
     source = Path(armcell.load(CELLS[arms]).file)
     spec = yaml.safe_load(source.read_text())
     own = spec["drop"]["objects"]
     poses = [spec["objects"].pop(name)["pose"] for name in own]
+    if wall is not None:
+        spec["objects"]["bin"]["sizes"]["height"] = wall
     names = []
     for i, (file, pose) in enumerate(zip(files, poses)):
         names.append(f"{file.stem}_{i}")
@@ -126,6 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ask.add_argument("--half", choices=HALVES, help="only objects of this half of the set")
     ask.add_argument("--meshes", type=Path, help="folder of other meshes, at true scale")
     ask.add_argument("--arms", type=int, nargs="+", choices=CELLS, default=[*CELLS], help="number of arms")
+    ask.add_argument("--wall", type=float, help="[m] height of the bin's walls; default: the cell's")
     ask.add_argument("--workers", type=int, default=2)
     ask.add_argument("--keep", type=Path, help="folder for the cells of bins that were not cleared")
     a = ask.parse_args(arguments)
@@ -137,14 +145,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(any(missed))
 
 
-def one_bin(files: Sequence[Path], arms: int, count: int, seed: int, keep: Path | None) -> Run:
+def one_bin(
+    files: Sequence[Path], arms: int, count: int, seed: int, keep: Path | None, wall: float | None
+) -> Run:
     """Draw the objects of a bin, clear it, and print a line."""
     rng = np.random.default_rng((seed, count))
     chosen = [files[i] for i in rng.choice(len(files), count, replace=len(files) < count)]
     with tempfile.TemporaryDirectory() as scratch:
         folder = keep / f"bin_{arms}_{count}_{seed}" if keep else Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
-        cell, began = cell_with(chosen, folder, arms), time.process_time()
+        cell, began = cell_with(chosen, folder, arms, wall), time.process_time()
         found = run(cell, seed)
     print(
         f"{arms} arms, {count} objects, seed {seed}: {found.cleared} cleared in {found.time:.0f} s, "
@@ -161,7 +171,7 @@ def measured(a: argparse.Namespace, files: Sequence[Path], arms: int, count: int
     """
     seeds = range(a.first, a.first + a.seeds)
     with ProcessPoolExecutor(a.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        jobs = [pool.submit(one_bin, files, arms, count, seed, a.keep) for seed in seeds]
+        jobs = [pool.submit(one_bin, files, arms, count, seed, a.keep, a.wall) for seed in seeds]
         runs = [job.result() for job in jobs]
     whole = sum(r.cleared == r.objects for r in runs)
     rate = 3600 * sum(r.cleared for r in runs) / sum(r.time for r in runs)

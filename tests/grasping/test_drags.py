@@ -82,12 +82,13 @@ def test_a_flat_box_and_a_piece_with_room_on_all_sides_are_not_dragged():
 
 
 @pytest.mark.slow
-def test_a_piece_that_a_drag_did_not_free_is_not_dragged_again():
+def test_a_piece_that_two_drags_did_not_free_is_not_dragged_again():
     far = sphere(HIGH - 0.022, HIGH - 0.022, 0.022)
     _, found = drags(CORNERED, far)
     near, other = (np.hypot(*np.subtract(d.contact, LOW)) < 0.1 for d in (found[0], found[-1]))
     assert near != other
-    _, again = drags(CORNERED, far, avoid=[found[0].contact])
+    assert len(drags(CORNERED, far, avoid=[found[0].contact])[1]) == len(found)
+    _, again = drags(CORNERED, far, avoid=[found[0].contact] * 2)
     assert again and all((np.hypot(*np.subtract(d.contact, LOW)) < 0.1) == other for d in again)
 
 

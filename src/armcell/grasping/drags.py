@@ -26,6 +26,7 @@ NEAR_FLOOR = 0.012  # [m] height above the floor below which a fingertip finds n
 NOISE = 0.001  # [m] of the heights
 LONGEST = 0.09  # [m] largest half length of a piece
 FEWEST = 20  # cells, for a median of heights
+TRIES = 2  # drags of a piece, which may roll back when the hand rises
 SAME_PIECE = 0.06  # [m] distance of a drag from an earlier one that did not free the piece
 
 
@@ -96,8 +97,7 @@ def drags_off_walls(
         labels: (nx, ny) piece number of each cell, -1 for none.
         where: (nx, ny) cells over which a piece may move; it cannot fall off them.
         floor: [m, world z] height of the surface below the heap.
-        avoid: x, y [m] of the contacts of earlier drags. Drags near them are left out: what one drag does not
-            move, the next one does not move either.
+        avoid: x, y [m] of the contacts of earlier drags. Drags near `TRIES` of them are left out.
     Raises:
         InputError: the sizes of map and labels differ.
     """
@@ -119,9 +119,10 @@ def drags_off_walls(
             if along @ away < s.toward:
                 continue
             best = _Search(seen, piece, others, room, floor, hand, s).best(along, outline, middle)
-            if best is not None and all(
-                np.hypot(*np.subtract(best.contact, at)) > SAME_PIECE for at in avoid
-            ):
+            if best is None:
+                continue
+            tried = sum(np.hypot(*np.subtract(best.contact, at)) <= SAME_PIECE for at in avoid)
+            if tried < TRIES:
                 found.append(best)
     found.sort(key=lambda drag: -drag.score)
     return found[: s.kept]
