@@ -175,6 +175,17 @@ def test_overlapping_solids_of_one_mesh_stay_what_they_are():
     assert sorted(volume([piece]) for piece in pieces) == pytest.approx([foot.volume * 0.75, foot.volume])
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_sheet_beside_a_solid_is_decomposed_without_a_warning():
+    """Scans and exports contain sheets with two faces, which enclose no volume."""
+    box = trimesh.creation.box((0.04, 0.03, 0.02))
+    corners = np.array([[0.1, 0, 0], [0.12, 0, 0], [0.1, 0.02, 0]])
+    sheet = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 1]], process=False)
+    both = trimesh.util.concatenate([box, sheet])
+    pieces = object_decomposition.object_pieces(Mesh(both.vertices, both.faces.astype(np.int32)))
+    assert sum(ConvexHull(p.vertices).volume for p in pieces) == pytest.approx(box.volume, rel=1e-3)
+
+
 def test_a_piece_without_surface_has_no_depth():
     """A cut can leave a cell that is entirely inside the solid: only its corners are left."""
     box = trimesh.creation.box((0.1, 0.1, 0.1))

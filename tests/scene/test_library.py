@@ -98,12 +98,13 @@ def test_a_mesh_in_millimeters_is_told_with_the_cure(tmp_path):
         mesh_object("ring", tmp_path / "ring.stl", scale=1e-6)
 
 
-def test_a_mesh_that_is_not_closed_is_told(tmp_path, caplog):
+def test_a_mesh_that_is_not_closed_is_told_once(tmp_path, caplog):
     box = trimesh.creation.box((0.1, 0.1, 0.1))
     box.update_faces(np.arange(len(box.faces)) != 0)
     box.export(tmp_path / "open.ply")
-    item = mesh_object("open", tmp_path / "open.ply", density=100.0)
-    assert "not closed (3 open edges)" in caplog.text and item.mass_kg == pytest.approx(0.1)
+    for _ in range(2):
+        item = mesh_object("open", tmp_path / "open.ply", density=100.0)
+    assert caplog.text.count("not closed (3 open edges)") == 1 and item.mass_kg == pytest.approx(0.1)
 
 
 def test_a_flat_mesh_is_refused(tmp_path):

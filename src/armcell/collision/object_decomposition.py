@@ -365,7 +365,9 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
 
     merged = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)  # STL files repeat their vertices
     parts = merged.split(only_watertight=False)
-    if len(parts) > 1 and all(part.is_watertight and part.volume > 0 for part in parts):
+    with np.errstate(invalid="ignore"):  # a part may be a sheet, which encloses nothing
+        are_solids = all(part.is_watertight and part.volume > 0 for part in parts)
+    if len(parts) > 1 and are_solids:
         # Solids that may overlap: the mesh's volume would count the overlap twice.
         solids = (Mesh(part.vertices, part.faces.astype(np.int32)) for part in parts)
         return tuple(piece for solid in solids for piece in object_pieces(solid))

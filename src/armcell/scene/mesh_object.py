@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -46,8 +47,10 @@ def mesh_facts(mesh: Mesh) -> MeshFacts:
         raise InputError("mesh is flat: it has no volume", file=mesh.file, hint="give it a thickness")
     hull = float(solid.convex_hull.volume)
     holes = len(open_edges(mesh))
-    closed = not holes and abs(float(solid.volume)) > 0
-    volume = abs(float(solid.volume)) if closed else hull
+    with np.errstate(invalid="ignore"):  # a sheet with two faces encloses nothing
+        enclosed = abs(float(solid.volume))
+    closed = not holes and enclosed > 0
+    volume = enclosed if closed else hull
     return MeshFacts((x, y, z), closed, holes, closed and volume > 0.98 * hull, volume)
 
 
@@ -75,12 +78,18 @@ def check_mesh(mesh: Mesh, movable: bool) -> MeshFacts:
             file=mesh.file, hint="give 'scale: 1000'",
         )  # fmt: skip
     if movable and not facts.closed:
-        log.warning(
-            "%s: mesh is not closed (%d open edges): its mass and inertia are those of its convex hull; "
-            "close it or give a mass",
-            mesh.file or "mesh", facts.open_edges,
-        )  # fmt: skip
+        _warn_open(mesh.file or "mesh", facts.open_edges)
     return facts
+
+
+@lru_cache(maxsize=1024)
+def _warn_open(file: str, open_edges: int) -> None:
+    """Warn once per process that a mesh is not closed: a cell loads its meshes several times."""
+    log.warning(
+        "%s: mesh is not closed (%d open edges): its mass and inertia are those of its convex hull; "
+        "close it or give a mass",
+        file, open_edges,
+    )  # fmt: skip
 
 
 def mesh_object(
