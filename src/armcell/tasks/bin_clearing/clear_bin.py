@@ -408,16 +408,17 @@ class _PickFromHeap(Pick):
         full margin around the hand.
 
         Candidates with smaller margins follow if no better candidate is reachable, or if the better ones
-        resemble failed grasps; then those along slanted approaches. As a last resort, candidates that hold
-        only the top of a piece follow. In an old view, only candidates with the full margin count.
+        resemble failed grasps. If no push helps either, candidates along slanted approaches follow, and then
+        candidates that hold only the top of a piece. In an old view, only candidates with the full margin
+        count.
         """
         clearing, here = self._clearing, self._here
         s, hand = clearing.settings, hand_of(clearing.ctx.base.model, clearing.gripper)
         failed: list[HeapGrasp] = []
         closest = _closer(s.grasps, 3)
-        slanted = tuple(_slanted(s.grasps, tilt) for tilt in s.tilts)
-        last = (replace(closest, least_grip=0.0),) if self._any_grasp else ()
-        closer = () if here.is_old else (_closer(s.grasps, 2), closest, *slanted, *last)
+        slanted = (_slanted(s.grasps, tilt) for tilt in s.tilts)
+        last = (*slanted, replace(closest, least_grip=0.0)) if self._any_grasp else ()
+        closer = () if here.is_old else (_closer(s.grasps, 2), closest, *last)
         for how in (s.grasps, *closer):
             grasps = failed + top_down_grasps(
                 here.map, here.labels, here.region.floor, hand, s.force, how, clearing.counts.avoid
