@@ -270,6 +270,16 @@ def test_a_block_between_tall_walls_is_picked_along_a_slanted_approach(tilts):
         assert not live.driver.unwanted_contacts()
 
 
+@pytest.mark.slow
+def test_a_block_beside_the_tray_is_picked_though_it_might_reach_into_the_tray():
+    """The arm does not know how the held object lies in the hand, and assumes a large box."""
+    with with_bar((0.70, 0.042, 0.2255), (0.06, 0.07, 0.03)).connect("sim", seed=0) as live:
+        outcome = live.clear("bin", **CALL, settings=BinClearingSettings(most_misses=1))
+        assert outcome.ok, outcome.message
+        assert outcome.evidence["cleared"] == 1 and outcome.evidence["unplanned"] == 0
+        assert not live.driver.unwanted_contacts()
+
+
 @pytest.mark.long
 def test_after_a_miss_the_other_piece_is_picked_first():
     with two_things().connect("sim", seed=0) as live:

@@ -118,7 +118,14 @@ def test_after_a_failed_grasp_fingers_that_have_closed_open_a_little(reading, op
     monkeypatch.setattr(_BinClearing, "_try_straight", lambda *a: None)
     look = lambda: None  # noqa: E731
     clearing = _BinClearing(
-        ctx, scene.model.gripper(), "bin", BinClearingSettings(), BinClearingCounts(), (), look, None
+        ctx,
+        scene.model.gripper(),
+        ("bin", "tray"),
+        BinClearingSettings(),
+        BinClearingCounts(),
+        (),
+        look,
+        None,
     )
     clearing.retreat(grasp)
     assert opened == ([] if opens_to is None else [pytest.approx(opens_to)])
@@ -154,7 +161,7 @@ def test_an_object_that_touches_the_tray_before_the_arm_has_arrived_is_released_
     x, y = tcp.translation[:2] + (0.0 if is_over else 1.0)
     tray = WorkRegion("in tray", ((x - 0.1, y - 0.1), (x + 0.1, y + 0.1)), 0.0)
     counts = BinClearingCounts()
-    clearing = _BinClearing(ctx, gripper, "bin", BinClearingSettings(), counts, (), lambda: None, tray)
+    clearing = _BinClearing(ctx, gripper, ("bin",), BinClearingSettings(), counts, (), lambda: None, tray)
     outcome = clearing._put(PartialSolution(scene), grasp)
     released = is_over and force > 0
     assert (outcome.ok, counts.put, counts.dropped) == (released, int(released), int(force == 0))

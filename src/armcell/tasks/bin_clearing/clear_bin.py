@@ -98,7 +98,7 @@ def clear_bin(
         (look_at_tray, table_around(base, tray, table, containers, s)),
     )
     counts = BinClearingCounts() if counts is None else counts
-    return _BinClearing(ctx, gripper, bin, s, counts, regions, look_at_tray, tray_region).run()
+    return _BinClearing(ctx, gripper, containers, s, counts, regions, look_at_tray, tray_region).run()
 
 
 class _BinClearing:
@@ -106,15 +106,17 @@ class _BinClearing:
     empty.
 
     Args:
+        containers: names of the bin, of the tray and of further containers on the table.
         regions: the work regions with the cameras that see them, in the order in which they are cleared.
     """
 
     def __init__(
-        self, ctx: TaskContext, gripper: Gripper, bin: str, settings: BinClearingSettings,
+        self, ctx: TaskContext, gripper: Gripper, containers: Sequence[str], settings: BinClearingSettings,
         counts: BinClearingCounts, regions: Sequence[tuple[Look, WorkRegion]], look_at_tray: Look,
         tray: WorkRegion,
     ):  # fmt: skip
-        self.ctx, self.gripper, self.bin, self.settings, self.counts = ctx, gripper, bin, settings, counts
+        self.ctx, self.gripper, self.settings, self.counts = ctx, gripper, settings, counts
+        self.containers, self.bin = tuple(containers), containers[0]
         self._regions, self._look_at_tray, self._tray = regions, look_at_tray, tray
         self._is_away = False  # the arm, from the cameras' view
         self._has_failed = False  # a pick, push or put, after which the arm must leave the cameras' view
@@ -378,7 +380,9 @@ class _PickFromHeap(Pick):
     def plan(self) -> tuple[PartialSolution | None, Outcome]:
         ctx, gripper, s = self._clearing.ctx, self._clearing.gripper, self._clearing.settings
         counts, t = self._clearing.counts, ctx.settings
-        touching = ((held_object(gripper), (HEAP, self._clearing.bin)), (HEAP, gripper.hand_links))
+        # the assumed shape of the held object may reach into a container beside it
+        near = HEAP, *self._clearing.containers
+        touching = ((held_object(gripper), near), (HEAP, gripper.hand_links))
         text = f"{self._here.count} pieces {self._here.region.name}, the hand fits around none of them"
         solution, outcome = None, Outcome(ErrorCode.PLANNING_FAILED, text)
         for grasps in self._candidates():
