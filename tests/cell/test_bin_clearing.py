@@ -250,7 +250,7 @@ def test_a_bar_beside_a_wall_is_pushed_off_it_and_picked(pose, size):
 @pytest.mark.slow
 def test_without_pushes_a_bar_beside_a_wall_stays():
     with with_bar((0.66, -0.528, 0.2425)).connect("sim", seed=0) as live:
-        settings = BinClearingSettings(most_pushes=0, most_misses=1)
+        settings = BinClearingSettings(most_pushes=0, most_misses=1, tilts=())
         outcome = live.clear("bin", **CALL, settings=settings)
         assert outcome.code is ErrorCode.FAILURE and "1 in bin" in outcome.message
         assert outcome.evidence["pushes"] == outcome.evidence["picks"] == 0
