@@ -118,14 +118,16 @@ def drags_off_walls(
             along = np.array([np.cos(angle), np.sin(angle)])
             if along @ away < s.toward:
                 continue
-            best = _Search(seen, piece, others, room, floor, hand, s).best(along, outline, middle)
-            if best is None:
-                continue
-            tried = sum(np.hypot(*np.subtract(best.contact, at)) <= SAME_PIECE for at in avoid)
-            if tried < TRIES:
-                found.append(best)
+            drag = _Search(seen, piece, others, room, floor, hand, s).best(along, outline, middle)
+            if drag is not None and _tries(drag, avoid) < TRIES:
+                found.append(drag)
     found.sort(key=lambda drag: -drag.score)
     return found[: s.kept]
+
+
+def _tries(drag: HeapDrag, earlier: Sequence[tuple[float, float]]) -> int:
+    """Return how many earlier drags touched probably the same piece, by their contacts x, y [m]."""
+    return sum(bool(np.hypot(*np.subtract(drag.contact, at)) <= SAME_PIECE) for at in earlier)
 
 
 class _Search:

@@ -120,7 +120,7 @@ class _BinClearing:
         self._regions, self._look_at_tray, self._tray = regions, look_at_tray, tray
         self._is_away = False  # the arm, from the cameras' view
         self._has_failed = False  # a pick, push or put, after which the arm must leave the cameras' view
-        self._any_grasp = False  # whether to try even grasps that hold only the top of a piece
+        self._any_grasp = False  # whether to try even slanted grasps, and those of only the top of a piece
 
     def run(self) -> Outcome:
         """Clear a bin: pick the objects in its work regions, one region after the other, and put them into
