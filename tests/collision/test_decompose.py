@@ -143,12 +143,33 @@ def test_the_pieces_come_from_the_disk_the_second_time(monkeypatch):
 def test_the_budget_counts_work_and_its_end_is_reported(monkeypatch, caplog):
     solid = cup()
     vertices, faces = np.array(solid.vertices, float), np.array(solid.faces, np.int32)
-    few = [object_decomposition.cut(vertices, faces, budget=60_000) for _ in range(2)]
-    assert 1 < len(few[0]) < len(object_decomposition.cut(vertices, faces))
+    few = [object_decomposition.cut(vertices, faces, budget=60_000)[0] for _ in range(2)]
+    assert 1 < len(few[0]) < len(object_decomposition.cut(vertices, faces)[0])
     assert all((a == b).all() for a, b in zip(*few, strict=True))
-    monkeypatch.setattr(object_decomposition.cut, "__defaults__", (60_000,))
+    monkeypatch.setattr(object_decomposition, "WORK", 60_000)
     object_decomposition.object_pieces(mesh_of(solid))
     assert "the mesh" in caplog.text and "cm3" in caplog.text
+
+
+@pytest.mark.slow
+def test_solids_of_one_mesh_share_the_budget(monkeypatch):
+    budgets = []
+    cut = object_decomposition.cut
+
+    def counted(vertices, faces, budget):
+        found, rest = cut(vertices, faces, budget)
+        budgets.append((budget, rest))
+        return found, rest
+
+    monkeypatch.setattr(object_decomposition, "WORK", 400_000)
+    monkeypatch.setattr(object_decomposition, "cut", counted)
+    small, large = bin_of(), cup()
+    small.apply_translation((1.0, 0.0, 0.0))
+    pieces = object_decomposition.object_pieces(mesh_of(trimesh.util.concatenate([large, small])))
+    (first, rest), (second, _) = budgets
+    assert first == 400_000 * len(small.faces) // (len(small.faces) + len(large.faces))
+    assert second == 400_000 - first + rest
+    assert volume([p for p in pieces if p.vertices[:, 0].min() > 0.5]) == pytest.approx(small.volume)
 
 
 @pytest.mark.slow

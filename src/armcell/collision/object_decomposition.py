@@ -6,7 +6,7 @@ until no point is deeper than `DEPTH`. A candidate plane contains a reflex edge 
 angle, or contains the face beside it (the floor of a bin, the inner side of a wall), or halves the
 piece's extent along an axis. The union of the pieces contains the mesh, and pieces do not overlap.
 
-The budget counts processed points, not seconds, so a busy machine gives the same pieces. Robot links
+The budget counts work, not seconds, so a busy machine gives the same pieces. Robot links
 always use `convex_pieces`, which divides a link into at most 12 pieces.
 """
 
@@ -40,18 +40,20 @@ EXCESS = 0.08
 """Excess of the pieces' total volume over the mesh's volume, as a fraction, at which the cuts end."""
 DEPTH = 0.002
 """Largest depth [m] of a point of the mesh's surface below the surface of its piece's convex hull."""
-MAX_PIECES = 256
-EDGES = 0.5  # weight of resolved reflex edges in the choice of a cut; a cut that removes the excess has 1
-WORK = 12_000_000  # points that clips and hulls process; about 8 s
-_PLANES = 6  # candidate planes through reflex edges, per piece
-_FRACTIONS = (0.5,)  # of the extent along each axis: the other candidate planes
+MAX_PIECES = 1024  # per solid
+EDGES = 0.05  # weight of resolved reflex edges in the choice of a cut; a cut that removes the excess has 1
+WORK = 9_000_000
+"""Budget of a decomposition: each step counts as the microseconds that it took when we measured it."""
+_PLANES = 3  # candidate planes through reflex edges, per piece
+_FRACTIONS = (1 / 3, 1 / 2, 2 / 3)  # of the extent along each axis: the other candidate planes
+_MANY = 2000  # triangles of a piece that is cut only in the middle, because each candidate takes long
 _ON_PLANE = 1e-8  # [m]
 _INWARD = 1e-6  # [m]
 _FLAT = np.deg2rad(1.0)  # a smaller reflex angle counts as flat
 log = logging.getLogger(__name__)
 CONVEX = 0.998  # a mesh that fills more than this fraction of its hull's volume counts as convex
 SMALLEST = 1e-11  # [m^3] smaller pieces are left out; MuJoCo rejects meshes without volume
-VERSION = 3  # increase when the same mesh yields different pieces, to invalidate the disk cache
+VERSION = 4  # increase when the same mesh yields different pieces, to invalidate the disk cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,20 @@ class _Reflex:
     ends: Array
     planes: Array
     weights: Array
+
+    def shares(self, plane: Array) -> tuple[float, float]:
+        """Return the shares of the weights of a concave object's reflex edges below and above a cutting
+        plane. Edges in the plane are resolved: they count on neither side.
+        """
+        height = self.ends @ plane[:3] + plane[3]  # (e, 2)
+        low, high = height.min(1), height.max(1)
+        level = high - low < 1e-12
+        above = np.where(level, high > 0, high.clip(0.0) - low.clip(0.0)) / np.where(level, 1.0, high - low)
+        weights = self.weights / self.weights.sum()
+        return (
+            float(weights @ np.where(low < -1e-7, 1 - above, 0.0)),
+            float(weights @ np.where(high > 1e-7, above, 0.0)),
+        )
 
     def below(self, plane: Array) -> _Reflex:
         """Clip the reflex edges of a concave object to the side of a cutting plane where n · x + d < 0, and
@@ -101,29 +117,56 @@ class _Piece:
     hull: float  # [m^3]
     depth: float = np.inf  # [m] of the deepest point of the surface below the hull, once measured
 
+    def __post_init__(self) -> None:
+        corners = self.triangles.reshape(-1, 3)
+        order = np.lexsort(corners.T)  # several times faster than np.unique of rows
+        ordered = corners[order]
+        first = np.ones(len(order), bool)
+        first[1:] = (ordered[1:] != ordered[:-1]).any(1)
+        index = np.empty(len(order), np.int64)
+        index[order] = np.cumsum(first) - 1
+        self.vertices, self.index = ordered[first], index.reshape(-1, 3)
+
     @property
     def points(self) -> Array:
-        return np.vstack([np.unique(self.triangles.reshape(-1, 3), axis=0), self.corners])
+        return np.vstack([self.vertices, self.corners])
 
     @property
     def excess(self) -> float:
         """Return the volume [m^3] by which the convex hull of a piece exceeds the concave solid."""
         return self.hull - signed_volume(self.triangles) - signed_volume(self.caps)
 
+    def points_beside(self, plane: Array) -> tuple[Array, Array]:
+        """Return the points of the surface (n, 3) and (m, 3) below and above a cutting plane, with the points
+        where the plane cuts edges of the concave piece.
+        """
+        height = self.vertices @ plane[:3] + plane[3]
+        height[np.abs(height) < _ON_PLANE] = 0.0
+        sides = []
+        for sign in (1, -1):
+            beside = np.zeros(len(height), bool)
+            beside[self.index[(sign * height < 0)[self.index].any(1)]] = True
+            sides.append(self.vertices[beside & (sign * height <= 0)])
+        ends = np.concatenate([self.index[:, [k, (k + 1) % 3]] for k in range(3)])
+        ends = ends[height[ends[:, 0]] * height[ends[:, 1]] < 0]
+        h, (a, b) = height[ends], self.vertices[ends].transpose(1, 0, 2)
+        cuts = a + (h[:, 0] / (h[:, 0] - h[:, 1]))[:, None] * (b - a)
+        return np.vstack([sides[0], cuts]), np.vstack([sides[1], cuts])
+
 
 class _Work:
     """Working state while a concave object is decomposed: the object's mesh and the remaining budget of
-    points to process.
+    work.
     """
 
-    def __init__(self, points: int, vertices: Array, faces: NDArray[np.int32]):
-        self.left, self._face_count, self._winding = points, len(faces), WindingNumbers(vertices, faces)
+    def __init__(self, budget: int, vertices: Array, faces: NDArray[np.int32]):
+        self.left, self._face_count, self._winding = budget, len(faces), WindingNumbers(vertices, faces)
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
         """Return a mask of the points (n, 3) that are inside the concave object to decompose."""
         if not len(points):
             return np.zeros(0, bool)
-        self.left -= len(points) * self._face_count // 10
+        self.left -= 16 + len(points) * self._face_count // 500
         return np.abs(self._winding(points)) > 0.5
 
     def hull(self, points: Array) -> float:
@@ -132,7 +175,7 @@ class _Work:
         """
         from scipy.spatial import ConvexHull, QhullError
 
-        self.left -= len(points) + 150  # qhull's start takes as long as 150 points
+        self.left -= 80 + len(points) // 5
         if len(points) < 4:
             return 0.0
         try:
@@ -146,7 +189,7 @@ class _Work:
         """
         from scipy.spatial import ConvexHull, QhullError
 
-        points = np.unique(piece.triangles.reshape(-1, 3), axis=0)
+        points = piece.vertices
         piece.depth = 0.0
         if not len(points):  # the piece is inside the solid
             return
@@ -154,22 +197,22 @@ class _Work:
             planes = np.unique(ConvexHull(piece.points).equations.round(9), axis=0)
         except (QhullError, ValueError):
             return
-        self.left -= len(points) * len(planes) // 50
+        self.left -= 90 + len(points) * len(planes) // 50
         for some in np.array_split(points, len(points) // 500 + 1):
             above = (some @ planes[:, :3].T + planes[:, 3]).max(axis=1)
             piece.depth = max(piece.depth, -float(above.min()))
 
 
-def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[Array]:
+def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> tuple[list[Array], int]:
     """Decompose the closed mesh of a concave object into pieces, until the convex hulls of all pieces
     together have hardly more volume than the mesh.
 
     Args:
         vertices: (v, 3) [m].
         faces: (f, 3) with outward normals.
-        budget: number of points that may be processed.
+        budget: see `WORK`.
     Returns:
-        The points (n, 3) of each piece; their convex hulls are the pieces.
+        The points (n, 3) of each piece, whose convex hulls are the pieces, and the rest of the budget.
     """
     work = _Work(budget, vertices, faces)
     triangles = vertices[faces]
@@ -201,7 +244,7 @@ def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[A
         else:
             pieces[worst : worst + 1] = halves
             excess[worst : worst + 1] = [half.excess for half in halves]
-    return [piece.points for piece in (*done, *pieces)]
+    return [piece.points for piece in (*done, *pieces)], max(work.left, 0)
 
 
 def _best_cut(piece: _Piece, work: _Work) -> tuple[_Piece, _Piece] | None:
@@ -212,62 +255,72 @@ def _best_cut(piece: _Piece, work: _Work) -> tuple[_Piece, _Piece] | None:
     therefore also counts how far the reflex edges are resolved and distributed.
     """
     best, found = 0.0, None
-    weight, excess = piece.edges.weights.sum(), piece.excess
+    excess = piece.excess
+    work.left -= 150 + 2 * len(piece.edges.weights)
     for plane in _candidates(piece):
         if work.left <= 0:
-            return found
-        halves = [_half(piece, plane * side, work) for side in (1.0, -1.0)]
-        if min(half.hull for half in halves) <= 0.0:
+            break
+        work.left -= 200 + len(piece.triangles) // 14
+        corners = _corners(piece, plane, work)
+        beside = piece.points_beside(plane)
+        hulls = [work.hull(np.vstack(points)) for points in zip(beside, corners, strict=True)]
+        if min(hulls) <= 0.0:
             continue
-        score = (piece.hull - sum(half.hull for half in halves)) / excess
-        if weight > 0:
-            score += EDGES * (1.0 - sum(float(half.edges.weights.sum() / weight) ** 2 for half in halves))
+        score = (piece.hull - sum(hulls)) / excess
+        if len(piece.edges.weights):
+            score += EDGES * (1.0 - sum(share**2 for share in piece.edges.shares(plane)))
         if score > best + 1e-9:
-            best, found = score, (halves[0], halves[1])
-    return found
+            best, found = score, (plane, corners, hulls)
+    if found is None:
+        return None
+    plane, corners, hulls = found
+    return (
+        _half(piece, plane, corners[0], hulls[0], work),
+        _half(piece, -plane, corners[1], hulls[1], work),
+    )
 
 
-def _half(piece: _Piece, plane: Array, work: _Work) -> _Piece:
-    work.left -= len(piece.triangles) + len(piece.caps)
+def _half(piece: _Piece, plane: Array, corners: Array, hull: float, work: _Work) -> _Piece:
+    work.left -= 250 + len(piece.triangles) // 2 + len(piece.caps) // 6
     origin = -plane[3] * plane[:3]
     triangles, rim = clip(piece.triangles, plane)
     caps, cap_rim = clip(piece.caps, plane)
     rims = np.concatenate([rim, cap_rim])
     fans = np.concatenate([np.broadcast_to(origin, (len(rims), 1, 3)), rims[:, ::-1]], axis=1)
-    half = _Piece(
-        triangles, np.concatenate([caps, fans]), piece.edges.below(plane),
-        np.vstack([piece.cell, plane]), _corners(piece, plane, work), 0.0,
-    )  # fmt: skip
-    half.hull = work.hull(half.points)
-    return half
+    caps = np.concatenate([caps, fans])
+    return _Piece(triangles, caps, piece.edges.below(plane), np.vstack([piece.cell, plane]), corners, hull)
 
 
-def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
-    """Return the corners (n, 3) of a convex cell of space after a plane has cut the cell. Only corners inside
-    the object to decompose are returned.
+def _corners(piece: _Piece, plane: Array, work: _Work) -> tuple[Array, Array]:
+    """Return the corners (n, 3) and (m, 3) of the two convex cells of space into which a plane cuts a cell,
+    below and above the plane. Only corners inside the object to decompose are returned.
     """
-    cell, n = piece.cell, len(piece.cell)
-    old = piece.corners[piece.corners @ plane[:3] + plane[3] < 0]
-    pairs = np.array([(i, j) for i in range(n) for j in range(i)], int).reshape(-1, 2)
-    planes = np.concatenate([cell[pairs], np.broadcast_to(plane, (len(pairs), 1, 4))], axis=1)
+    cell = piece.cell
+    height = piece.corners @ plane[:3] + plane[3]
+    first, second = np.triu_indices(len(cell), 1)
+    planes = np.stack([cell[first], cell[second], np.broadcast_to(plane, (len(first), 4))], axis=1)
     planes = planes[np.abs(np.linalg.det(planes[:, :, :3])) > 1e-3]
-    corners = np.linalg.solve(planes[:, :, :3], -planes[:, :, 3:])[..., 0]
-    inward = np.linalg.solve(planes[:, :, :3], np.full((len(planes), 3, 1), -_INWARD))[..., 0]
-    tested = corners + inward  # decides where a corner is on the surface
-    rows = (tested @ cell[:, :3].T + cell[:, 3] < 0).all(1)
-    return np.asarray(np.vstack([old, corners[rows][work.inside(tested[rows])]]), np.float64)
+    moves = -_INWARD * np.array([[1.0, 1, 1], [1, 1, -1]])  # into the cells below and above the plane
+    known = np.concatenate([-planes[:, None, :, 3], np.broadcast_to(moves, (len(planes), 2, 3))], axis=1)
+    corners, below, above = np.linalg.solve(planes[:, :, :3], known.transpose(0, 2, 1)).transpose(2, 0, 1)
+    found = []
+    for old, inward in ((height < 0, below), (height > 0, above)):
+        tested = corners + inward  # decides where a corner is on the surface
+        rows = (tested @ cell[:, :3].T + cell[:, 3] < 0).all(1)
+        found.append(np.vstack([piece.corners[old], corners[rows][work.inside(tested[rows])]]))
+    return found[0], found[1]
 
 
 def _candidates(piece: _Piece) -> Array:
     """Return candidate planes (k, 4) for cutting a piece of a concave object, each as a normal n and an
     offset d with n · x + d = 0.
     """
-    points = piece.triangles.reshape(-1, 3)
+    points = piece.vertices
     low, high = points.min(0), points.max(0)
     planes = [
         np.r_[-np.eye(3)[axis], low[axis] + fraction * (high[axis] - low[axis])]
         for axis in range(3)
-        for fraction in _FRACTIONS
+        for fraction in (_FRACTIONS if len(piece.triangles) < _MANY else (0.5,))
     ]
     edges = piece.edges
     if len(edges.weights):
@@ -353,10 +406,9 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     """Decompose an object's mesh into convex meshes whose union contains it; the result is cached on disk.
 
     Each closed solid of a mesh is decomposed on its own, into pieces that do not overlap. Their total
-    volume exceeds the solid's volume by at most `EXCESS`, and they cover no point of
-    its surface deeper than `DEPTH`, unless the budget of `cut`
-    ends first. An open mesh has no volume: `convex_pieces` divides it. The same mesh always yields the same
-    pieces.
+    volume exceeds the solid's volume by at most `EXCESS`, and they cover no point of its surface deeper than
+    `DEPTH`, unless the budget ends first; the solids of a mesh share one budget. An open mesh has no volume:
+    `convex_pieces` divides it. The same mesh always yields the same pieces.
 
     Raises:
         InputError: the mesh is flat.
@@ -364,28 +416,43 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     import trimesh  # slow to import
 
     merged = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)  # STL files repeat their vertices
-    parts = merged.split(only_watertight=False)
+    solids = list(merged.split(only_watertight=False))
     with np.errstate(invalid="ignore"):  # a part may be a sheet, which encloses nothing
-        are_solids = all(part.is_watertight and part.volume > 0 for part in parts)
-    if len(parts) > 1 and are_solids:
-        # Solids that may overlap: the mesh's volume would count the overlap twice.
-        solids = (Mesh(part.vertices, part.faces.astype(np.int32)) for part in parts)
-        return tuple(piece for solid in solids for piece in object_pieces(solid))
-    if not is_closed(mesh) or abs(merged.volume) > CONVEX * merged.convex_hull.volume:
-        return convex_pieces(mesh)
+        are_solids = all(part.is_watertight and part.volume > 0 for part in solids)
+    if len(solids) == 1 or not are_solids:
+        solids = [merged]
+        if not is_closed(mesh) or _is_convex(merged):
+            return convex_pieces(mesh)
     key = key_of(f"concave{VERSION}", mesh.vertices.astype(float), mesh.faces.astype(np.int32))
-    return stored_pieces(key, lambda: _cut_solid(mesh, merged))
+    return stored_pieces(key, lambda: _cut_solids(solids, str(mesh.file or "mesh")))
 
 
-def _cut_solid(mesh: Mesh, merged: trimesh.Trimesh) -> tuple[Mesh, ...]:
-    merged.fix_normals(multibody=True)
-    found = cut(np.array(merged.vertices, float), np.array(merged.faces, np.int32))
-    pieces = [piece for piece in map(convex_hull_mesh, found) if _mesh_volume(piece) > SMALLEST]
-    total = sum(map(_mesh_volume, pieces))
-    if total > (1 + 2 * EXCESS) * merged.volume:
+def _is_convex(solid: trimesh.Trimesh) -> bool:
+    return abs(solid.volume) > CONVEX * solid.convex_hull.volume
+
+
+def _cut_solids(solids: list[trimesh.Trimesh], name: str) -> tuple[Mesh, ...]:
+    """Decompose each solid of a mesh into convex pieces. The solids share one budget.
+
+    Solids may overlap: the volume of the mesh as a whole would count the overlap twice.
+    """
+    pieces: list[Mesh] = []
+    left, faces_left = WORK, sum(len(solid.faces) for solid in solids)
+    for solid in sorted(solids, key=lambda solid: len(solid.faces)):
+        count = len(solid.faces)
+        budget, faces_left = left * count // faces_left, faces_left - count
+        if _is_convex(solid):
+            pieces += convex_pieces(Mesh(solid.vertices, solid.faces.astype(np.int32)))
+            continue
+        solid.fix_normals(multibody=True)
+        cells, rest = cut(np.array(solid.vertices, float), np.array(solid.faces, np.int32), budget)
+        left += rest - budget
+        pieces += [piece for piece in map(convex_hull_mesh, cells) if _mesh_volume(piece) > SMALLEST]
+    total, volume = sum(map(_mesh_volume, pieces)), sum(solid.volume for solid in solids)
+    if total > (1 + 2 * EXCESS) * volume:
         log.warning(
             "%s: %d convex pieces fill %.1f cm3, the mesh %.1f cm3: its openings are smaller in physics",
-            mesh.file or "mesh", len(pieces), total * 1e6, merged.volume * 1e6,
+            name, len(pieces), total * 1e6, volume * 1e6,
         )  # fmt: skip
     return tuple(pieces)
 
