@@ -221,6 +221,22 @@ def test_a_screw_is_gripped_for_its_torque_too(hand):
     assert by_torque > 2 * by_weight and 2 * by_torque * 0.8 * 0.025 + 2 * by_torque * 0.01 > 0.3
 
 
+def test_a_low_rim_needs_more_force_than_a_high_one(hand):
+    """A weight beside the pads pries them off: only the height of their contact resists on a thin wall."""
+
+    def force(rim: float) -> float:
+        block = (Box(0.04, 0.09, 0.02), SE3.from_xyz(0, 0.0435, 0.01))
+        wall = (Box(0.04, 0.003, rim), SE3.from_xyz(0, 0, 0.02 + rim / 2))
+        item = CollisionObject(
+            "hook", (block, wall), SE3.identity(), movable=True, mass=0.2, material=Material(0.5)
+        )
+        found = [g for g in grasp_candidates(item, hand)[0] if g.width < 0.01]
+        return min(g.force for g in found if g.T_object_tcp.rotation.matrix[2, 2] < -0.9)
+
+    low, middle, high = (force(rim) for rim in (0.01, 0.02, 0.04))
+    assert low > 1.2 * middle > 1.2 * 1.1 * high
+
+
 def test_too_heavy_is_rejected_with_both_forces(hand):
     item = held(100.0, 0.3)
     grasps, rejected = grasp_candidates(item, hand)

@@ -41,6 +41,7 @@ SOFT_PATCH = 1.5e-3  # [m] patch radius that scores half as much as a large patc
 EDGE = 1.7  # distance of a patch's edge, in radii of gyration
 SLIPS = 3  # number of checks that a grasp passes before the check for slipping
 ALIGNED = np.pi / 4  # [rad] angle up to which closing jaws turn a square back to its faces
+LEFT = 0.5  # smallest share of a grasp's resistance to peeling that slanted contacts leave
 PARTS = 5  # parts of this turn after which the width of the object is compared
 FAR_LEVER = 0.04  # [m] lever arm of the weight at which the score is halved
 MANY, GOOD = 100, 0.5  # candidates, and score of the best one, that end the sampling of an object's surface
@@ -184,7 +185,7 @@ class _Fitted:
     poses: Array  # (k, 4, 4)
     verdict: NDArray[np.int64]
     measures: Array  # (k, 5): see hand_fit_kernel.fit
-    contacts: Array  # (k, 2, 8)
+    contacts: Array  # (k, 2, 9)
     surface: Surface
     covered: float  # share of the surface that was tried
 
@@ -302,18 +303,21 @@ class _Loads:
         tilting = np.abs(np.einsum("ki,ki->k", arm, up_tcp))  # hand at rest
         lever = np.hypot(tilting, 0.5 * np.linalg.norm(arm, axis=1))  # in motion, for any orientation
         patch, rub = contacts[:, :, 7].min(1), item.material.torsional_friction
-        # A weight far outside the pads (a tray held by its rim) pries them off: friction and uneven pressure.
+        # A weight far outside the pads (a tray held by its rim) pries them off. Friction and uneven pressure
+        # over the height of the contact resist; slanted contacts have used up a part of the friction.
         along = np.einsum("ki,ki->k", mass_at, axis)
         beyond = np.maximum(np.maximum(-along, along - apart), 0.0)
         level = np.sqrt(1 - np.einsum("ki,ki->k", axis, up_tcp).clip(-1, 1) ** 2)
-        peeling = 2 * friction * force * beyond * level / (friction * apart + 2 * EDGE * patch + rub)
+        slanted = np.maximum(slope, twist)
+        height = 2 * EDGE * _extent_along(contacts[:, :, 7:], up_tcp) + hand_fit_kernel.INSET
+        resists = (friction * apart + height) * (1 - slanted / friction).clip(LEFT, 1.0)
+        peeling = 2 * friction * force * beyond * level / resists
         least = force * holding_factor(friction, rub, tilting, patch) + peeling
         needed = force * holding_factor(friction, rub, lever, patch) + peeling
         # friction of the pads resists at half the width and across the contact patches
         if item.thread is not None:
             twisting = item.thread.torque / (friction * width + 2 * patch)
             least, needed = np.maximum(least, twisting), np.maximum(needed, twisting)
-        slanted = np.maximum(slope, twist)
         quality = (
             np.clip(1 - (slanted / friction) ** 2, 0, 1)
             * np.clip(self.gripper.max_force / np.maximum(SAFETY * needed, 1e-9), 0.05, 1)
@@ -331,6 +335,20 @@ class _Loads:
         """Return a mask (k,) of the grasp candidates for which gripper force and friction suffice."""
         strong = self.force <= self.gripper.max_force
         return strong & (self.slanted <= self.friction) & (self.least <= self.gripper.max_force)
+
+
+def _extent_along(spread: Array, up_tcp: Array) -> Array:
+    """Return the radius of gyration (k,) [m] of the smaller contact patch along the vertical, in the plane of
+    the pads.
+
+    Args:
+        spread: (k, 2, 2) [m] radii of gyration of both patches about their normals, and along z of the tcp.
+        up_tcp: (k, 3) vertical in the tcp frame.
+    """
+    across, along = up_tcp[:, 0, None] ** 2, up_tcp[:, 2, None] ** 2
+    total, z = spread[:, :, 0] ** 2, spread[:, :, 1] ** 2
+    squares = (across * (total - z).clip(0.0) + along * z) / np.maximum(across + along, 1e-12)
+    return np.sqrt(squares.min(1))
 
 
 def _judged(

@@ -44,10 +44,10 @@ class PadContact:
 
     @staticmethod
     def of(row: F64) -> PadContact:
-        """Create a pad contact of a grasp from one row (8,) of the array of contacts that
+        """Create a pad contact of a grasp from one row (9,) of the array of contacts that
         `hand_fit_kernel.fit_hand` returns.
         """
-        row = float_array(row, (8,), "a row", finite=False)
+        row = float_array(row, (9,), "a row", finite=False)
         return PadContact(row[:3].copy(), row[3:6].copy(), float(row[7]))
 
 

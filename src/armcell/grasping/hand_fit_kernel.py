@@ -165,13 +165,13 @@ def fit_hand(
         Verdicts (k,). Measures (k, 5): the object's width, the opening before the approach, and the
         distance that the hand was moved (if the hand does not fit: the excess over the limit) [m]; the share
         of the distances that allow for the pose error, from 0 to 1; and 1 if the pose error moved the hand
-        back, else 0. Contacts (k, 2, 8) of the pads at +y and -y: center and mean normal in the tcp frame,
-        number of points, patch radius [m].
+        back, else 0. Contacts (k, 2, 9) of the pads at +y and -y: center and mean normal in the tcp frame,
+        number of points, patch radius [m], and its part along z of the tcp [m].
     """
     k, n = len(poses), len(points)
     verdict = np.zeros(k, dtype=np.int64)
     measures = np.zeros((k, 5))
-    contacts = np.zeros((k, 2, 8))
+    contacts = np.zeros((k, 2, 9))
     q = np.empty((n, 3))
     for i in range(k):
         R, p = poses[i, :3, :3], poses[i, :3, 3].copy()
@@ -269,7 +269,7 @@ def fit_hand(
         for side in range(2):
             sign = 1.0 if side == 0 else -1.0
             edge = high_y if side == 0 else -low_y
-            count, sums, squares = 0, np.zeros(6), 0.0
+            count, sums, squares, heights = 0, np.zeros(6), 0.0, 0.0
             for j in range(n):
                 if (sign * q[j, 1] > edge - PATCH and sign * q[j, 1] < edge + 1e-9
                         and pad[0, 0] + INSET < q[j, 0] < pad[1, 0] - INSET
@@ -286,6 +286,7 @@ def fit_hand(
                             normals[j, 0] * R[0, a] + normals[j, 1] * R[1, a] + normals[j, 2] * R[2, a]
                         )
                     squares += q[j, 0] ** 2 + q[j, 2] ** 2
+                    heights += q[j, 2] ** 2
             if count == 0:
                 verdict[i] = NOTHING_BETWEEN
                 break
@@ -296,4 +297,5 @@ def fit_hand(
             spread = squares / count - (sums[0] / count) ** 2 - (sums[2] / count) ** 2
             contacts[i, side, 6] = count
             contacts[i, side, 7] = np.sqrt(max(spread, 0.0))
+            contacts[i, side, 8] = np.sqrt(max(heights / count - (sums[2] / count) ** 2, 0.0))
     return verdict, measures, contacts
