@@ -13,7 +13,7 @@ from tests.tasks.helpers import AtStage, notes
 import armcell
 from armcell.cell import Cell, run_task
 from armcell.cell.validation import validated
-from armcell.core import ErrorCode, InputError, UnknownNameError
+from armcell.core import ErrorCode, InputError
 from armcell.scene import library_object
 from armcell.tasks.bin_clearing import BinClearingSettings, clear_bin
 from armcell.tasks.bin_clearing.work_regions import (
@@ -70,48 +70,6 @@ def two_things() -> Cell:
 
 def names(cell) -> list[str]:
     return [report.name for report in cell.reports]
-
-
-@pytest.mark.slow
-def test_what_a_seed_drops_lies_in_the_bin_and_is_the_same_every_time():
-    cell = whole()
-    scene, again = cell.scene(3), cell.scene(3)
-    nominal, other = cell.scene(), cell.scene(4)
-    turned = 0
-    for name in cell.spec.drop.objects:
-        T = scene.object(name).T_world_object
-        assert T.isclose(again.object(name).T_world_object, 0.0, 0.0)
-        assert not T.isclose(other.object(name).T_world_object, 1e-3, 1e-3)
-        assert abs(T.translation[0] - 0.70) < 0.22 and abs(T.translation[1] + 0.32) < 0.24
-        turned += (
-            abs(T.rotation.matrix[2, 2] - nominal.object(name).T_world_object.rotation.matrix[2, 2]) > 0.5
-        )
-    assert turned > 5  # most do not stand as they are described
-
-
-@pytest.mark.slow
-def test_what_was_dropped_is_at_rest():
-    with whole().connect("sim", seed=3) as live:
-        world = live.driver.world
-        before = {n: world.object_pose(n) for n in whole().spec.drop.objects}
-        world.step(500)
-        moved = [before[n].distance_to(world.object_pose(n))[0] for n in before]
-    assert max(moved) < 2e-3
-
-
-@pytest.mark.parametrize(
-    "change, says",
-    [
-        ({"into": "floor", "objects": ["nothing"]}, "nothing"),
-        ({"into": "box_1", "objects": ["can_1"]}, "must be fixed"),
-        ({"into": "bin", "objects": ["work_table"]}, "must be movable"),
-    ],
-)
-def test_a_drop_that_cannot_be_is_said(change, says):
-    data = whole().spec.model_dump(exclude_unset=True)
-    data["drop"] = change
-    with pytest.raises((InputError, UnknownNameError), match=says):
-        Cell("wrong", whole().file, validated(data, whole().file))
 
 
 def test_the_planner_knows_nothing_of_the_things():

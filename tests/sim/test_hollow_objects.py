@@ -42,6 +42,20 @@ def test_a_ball_falls_into_a_cup():
     assert world.object_pose("hollow").translation[2] == pytest.approx(0.0, abs=1e-3)
 
 
+def test_many_pieces_in_contact_fit_into_physics_memory(caplog):
+    """Without memory for its contacts, MuJoCo drops all of them, and everything falls through the table."""
+    table = CollisionObject.single("table", Box(1.0, 1.0, 0.1), SE3.from_xyz(0.5, 0.0, -0.05))
+    shape, places = mesh_of(cup()), [(0.5 + 0.004 * k, 0.003 * (k % 2), 0.0) for k in range(12)]
+    cups = [
+        CollisionObject.single(f"cup {k}", shape, SE3.from_xyz(*at), movable=True, mass=0.2)
+        for k, at in enumerate(places)
+    ]
+    model = load_robot("panda")
+    scene = PlanningScene.of(model, objects=[table, *cups])
+    SimWorld(scene.with_positions(model.default_positions())).step(1)
+    assert "arena" not in caplog.text
+
+
 @pytest.mark.slow
 def test_physics_and_the_exact_checker_agree_which_regions_are_solid():
     """A small ball at random places around a cup: who sees a contact deeper, or a gap wider, than 1 mm?"""

@@ -13,7 +13,7 @@ from armcell.grasping import support_surface, surface_of
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
 
-VERSION = 1  # raise when the same drop would give other poses
+VERSION = 2  # raise when the same drop would give other poses
 FENCE = 0.3  # [m] height of the fence around the bin during the drops
 FALL = 0.04  # [m] clearance above the objects in the bin
 WAIT, AT_LAST = 0.35, 1.0  # [s] between two drops, and after the last drop
@@ -64,7 +64,10 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
     for name, item in zip(FENCES, _around(frame, half), strict=True):
         fenced = fenced.with_object(replace(item, name=name))
     for k, name in enumerate(names):
-        fenced = fenced.with_object_pose(name, SE3.from_xyz(AWAY + 0.3 * (k % 6), 0.3 * (k // 6), 0.001))
+        low = scene.object(name).bounds()[0][2]
+        fenced = fenced.with_object_pose(
+            name, SE3.from_xyz(AWAY + 0.3 * (k % 6), 0.3 * (k // 6), 0.001 - low)
+        )
     world = SimWorld(fenced, settings)
     world.step(round(AT_LAST / world.timestep))  # until the waiting objects are at rest
     poses: dict[str, SE3] = {}

@@ -37,6 +37,8 @@ from armcell.sim.settings import PhysicsSettings
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 RENDER_CAMERA = "render"
+MANY_GEOMS = 100
+ARENA = 128 * 2**20  # [bytes] for contacts of more geoms; the default (about 20 MB) can be too small for them
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,6 +290,8 @@ def build(
                     solref=settings.weld_solref,
                 )
     _add_look(spec)
+    if len(spec.geoms) > MANY_GEOMS:
+        spec.memory = ARENA
     try:
         mj = compiled(spec)
     except ValueError as error:
