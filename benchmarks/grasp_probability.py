@@ -73,6 +73,8 @@ def report(factor: float, found: dict[str, Any]) -> Iterator[str]:
     for row in found["reliability"]:
         rates = f"{100 * row['predicted']:.1f} % | {100 * row['happened']:.1f} %"
         yield f"| {row['from']:.2f} to {row['to']:.2f} | {row['n']} | {rates} |"
+    apart = sum(row["n"] * abs(row["predicted"] - row["happened"]) for row in found["reliability"])
+    yield f"expected calibration error: {100 * apart / max(found['predictions'], 1):.1f} points"
 
 
 def is_calibrated(found: dict[str, Any]) -> bool:
