@@ -140,8 +140,7 @@ def depth_on_approach(q, palm, left, right, approach, opening, gap):
 
 @njit(cache=True)
 def fit_hand(
-    poses, points, normals, palm, left, right, pad, thinnest, max_width, up, floor, approach, pose_error=0.0,
-    deep=False,
+    poses, points, normals, palm, left, right, pad, thinnest, max_width, up, floor, approach, pose_error, deep
 ):  # fmt: skip
     """Fit a hand around the surface points of an object at each grasp pose, in the compiled hand-fit kernel.
 

@@ -182,6 +182,7 @@ def robustness(
     verdict, _, contacts = hand_fit_kernel.fit_hand(
         poses, surface.points, surface.normals, hand.palm, hand.left, hand.right, hand.pad,
         hand.thinnest, hand.gripper.max_width, up, -np.inf, grasp.shortest_approach,
+        0.0, False,
     )  # fmt: skip
     holds = 0
     for i, other in enumerate(noise.materials(item, trials, rng)):

@@ -93,7 +93,7 @@ def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
         require(len(points) > NEIGHBORS, "the cloud's points are all in one place")
     _, near = KDTree(points).query(points, k=min(NEIGHBORS, len(points)))
     around = points[near] - points[near].mean(axis=1, keepdims=True)
-    normals = np.linalg.svd(around)[2][:, 2]
+    normals = np.linalg.svd(around)[2][:, 2].copy()  # contiguous, or Numba compiles `fit_hand` once more
     middle = (points.min(0) + points.max(0)) / 2
     normals *= np.where(np.einsum("ij,ij->i", normals, points - middle) < 0, -1.0, 1.0)[:, None]
     return Surface(points, normals, np.zeros((0, 3, 3)), middle, key or ("cloud", points.tobytes()))

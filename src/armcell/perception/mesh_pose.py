@@ -171,7 +171,8 @@ def _is_closed(mesh: Any) -> bool:
 
 def _few(vertices: F64, faces: Faces, most: int, closed: bool) -> Triangles:
     v, f = decimated(vertices, faces, most)
-    return np.ascontiguousarray(v), np.ascontiguousarray(f, dtype=np.int32), closed
+    # copies: for the read-only arrays of a mesh, Numba would compile all kernels once more
+    return np.array(v, order="C"), np.array(f, np.int32, order="C"), closed
 
 
 @dataclass(frozen=True, eq=False)

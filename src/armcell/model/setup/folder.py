@@ -29,7 +29,7 @@ def check_folder(folder: Path, force: bool = False) -> None:
     if not os.path.isdir(parent):
         raise InputError("folder does not exist", file=parent, hint=f"mkdir -p {parent}")
     try:
-        tempfile.TemporaryDirectory(dir=parent).cleanup()
+        tempfile.TemporaryDirectory(dir=parent, prefix=".armcell-").cleanup()
     except OSError as error:
         raise InputError(f"folder is not writable ({error.strerror})", file=parent) from None
 
