@@ -284,10 +284,7 @@ def test_streamed_targets_take_over_from_a_trajectory(host):
 
 def test_the_end_of_the_connection_during_a_motion_is_no_reflex(host):
     with driver(host) as live:
-        arm = franka(live)
-        live.follow(swing(arm, 6.0))
-        while np.abs(arm.state["dq"]).max() < 0.02:
-            time.sleep(0.01)
+        moving(live, franka(live))
     assert operate(host, "state").split()[:2] == ["IDLE", "-"]
     with driver(host) as live:
         assert live.fault() is None
