@@ -64,6 +64,13 @@ def test_a_cache_that_cannot_be_written(capsys, tmp_path, monkeypatch):
     assert found["cache folder"]["verdict"] == "no" and "ARMCELL_CACHE_DIR" in found["cache folder"]["found"]
 
 
+def test_a_file_that_another_process_deletes_meanwhile_does_not_count(tmp_path, monkeypatch):
+    (tmp_path / "kept.npz").write_bytes(b"1234")
+    walked = [(str(tmp_path), [], ["gone.lock", "kept.npz"])]
+    monkeypatch.setattr(doctor.os, "walk", lambda root: iter(walked))
+    assert doctor._size_of(tmp_path) == 4
+
+
 @pytest.mark.slow
 def test_a_package_that_is_missing(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(doctor, "NEEDED", ("numpy", "no-such-package"))

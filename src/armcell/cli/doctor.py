@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import platform
@@ -254,6 +255,16 @@ def _version(name: str) -> str | None:
         return None
 
 
+def _size_of(root: Path) -> int:
+    """Return the size [bytes] of all files in a folder; other processes may delete some meanwhile."""
+    size = 0
+    for folder, _, names in os.walk(root):  # a quarter of the time of Path.rglob
+        for name in names:
+            with contextlib.suppress(FileNotFoundError):
+                size += os.lstat(os.path.join(folder, name)).st_size
+    return size
+
+
 def cache() -> Iterator[Finding]:
     root, folder = _cache.cache_root(), Path(os.environ["NUMBA_CACHE_DIR"])
     chosen = _cache.chosen_root()
@@ -261,9 +272,7 @@ def cache() -> Iterator[Finding]:
         hint = "let only your user write there (chmod go-w), or set ARMCELL_CACHE_DIR to another folder"
         yield Finding(NO, "cache folder", f"{chosen} is not used, because {reason}: {hint}")
     elif _cache.writable(root):
-        files = (os.path.join(folder, name) for folder, _, names in os.walk(root) for name in names)
-        size = sum(os.lstat(file).st_size for file in files)  # a quarter of the time of Path.rglob
-        yield Finding(OK, "cache folder", f"{root}: writable, {size / 1e6:.0f} MB")
+        yield Finding(OK, "cache folder", f"{root}: writable, {_size_of(root) / 1e6:.0f} MB")
     else:
         hint = "kernels compile again in every process; set ARMCELL_CACHE_DIR to a folder that can be written"
         yield Finding(NO, "cache folder", f"{root} is not writable: {hint}")
