@@ -3,11 +3,12 @@
 The algorithm cuts the piece whose convex hull exceeds its solid most, until the total excess is below
 `EXCESS` of the mesh's volume. Then it cuts the piece whose hull covers a point of the surface deepest,
 until no point is deeper than `DEPTH`. A candidate plane contains a reflex edge and halves its dihedral
-angle, or contains the face beside it (the floor of a bin, the inner side of a wall), or halves the
-piece's extent along an axis. The union of the pieces contains the mesh, and pieces do not overlap.
+angle, or contains the face beside it (the floor of a bin, the inner side of a wall), or divides the
+piece's extent along an axis in halves or thirds. The union of the pieces contains the mesh, and pieces do
+not overlap.
 
-The budget counts work, not seconds, so a busy machine gives the same pieces. Robot links
-always use `convex_pieces`, which divides a link into at most 12 pieces.
+The budget counts work, not seconds, so a busy machine gives the same pieces. Robot links always use
+`convex_pieces`, which divides a link into at most 12 pieces.
 """
 
 from __future__ import annotations
